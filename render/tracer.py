@@ -1,0 +1,209 @@
+"""Light transport in one pass: a camera pixel's response to every basis channel of every projector at once.
+
+One lane follows one pixel's paths one after the other; a loop inside the kernel runs over samples and bounces, and the
+channels add up in registers, so memory does not grow with the number of samples. Every vertex looks to each projector
+(a delta light: nothing else can find it) and the path goes on by sampling the BSDF.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from render import sampling
+from render.light import Light
+from render.mitsuba_scene import geometry
+from render.optics import Optics, optics
+from render.transport import Transport
+from render.variant import dr, mi, use
+from scenes.basis import basis
+from scenes.errors import RenderError
+from scenes.meshes import parts
+from scenes.scene import Scene
+
+# Numbers a tile may return at once: 512 MB of float32.
+TILE_NUMBERS = 1 << 27
+
+
+def trace(
+    scene: Scene, seed: int = 0, samples: int | None = None, depth: int | None = None
+) -> Transport:
+    """Trace the scene's light transport once, for all its patterns.
+
+    `samples` light paths per pixel (None: the scene's) of up to `depth` surface vertices (None: the scene's; 1: direct
+    light only). The same seed gives the same bits on one machine. Even `samples` are best: they lie in pairs opposite
+    about the pixel's centre, which makes the phase of direct light nearly free of noise.
+
+    Raises `RenderError` for impossible `samples` or `depth`.
+    """
+    samples = scene.sampling.samples if samples is None else samples
+    depth = scene.sampling.depth if depth is None else depth
+    for name, value in (("samples", samples), ("depth", depth)):
+        if value < 1:
+            raise RenderError(f"{name} = {value}: needs at least 1")
+    use()
+    bases = tuple(basis(scene.patterns, p, p.resolution) for p in scene.projectors)
+    pass_ = _Pass(
+        mi.load_dict(geometry(scene)),
+        optics(scene.camera),
+        [
+            Light(p, optics(p), b.channels)
+            for p, b in zip(scene.projectors, bases, strict=True)
+        ],
+        scene.ambient.radiance_w_m2_sr,
+        depth,
+    )
+    width, height = scene.camera.resolution
+    channels = [len(b.channels) for b in bases]
+    total = np.zeros((len(bases), max(channels), height, width), np.float32)
+    direct = np.zeros_like(total)
+    ambient = np.zeros((height, width), np.float32)
+    rows = max(1, TILE_NUMBERS // (width * (2 * sum(channels) + 1)))
+    for top in range(0, height, rows):
+        part = slice(top, min(top + rows, height))
+        first, later, glow = pass_.radiance(part, width, samples, seed)
+        start = 0
+        for p, count in enumerate(channels):
+            for c in range(count):
+                direct[p, c, part] = first[start + c]
+                total[p, c, part] = first[start + c] + later[start + c]
+            start += count
+        ambient[part] = glow
+    return Transport(
+        total, direct, ambient, labels(scene), scene.labels, bases, scene, seed, samples, depth
+    )
+
+
+def labels(scene: Scene) -> NDArray[np.uint16]:
+    """What each pixel's centre sees, (row, col): label i of `scene.labels` as i + 1, nothing as 0."""
+    use()
+    width, height = scene.camera.resolution
+    ids = {label: i + 1 for i, label in enumerate(scene.labels)}
+    mi_scene = mi.load_dict(geometry(scene))
+    index = dr.arange(mi.UInt32, width * height)
+    centre = mi.Point2f(index % width, index // width) + 0.5
+    # The middle of the square is the middle of the pupil: the chief ray.
+    ray = mi.Ray3f(*optics(scene.camera).ray(centre, mi.Point2f(0.5)))
+    hit = mi_scene.ray_intersect_preliminary(ray, coherent=True)
+    found = dr.zeros(mi.UInt32, width * height)
+    for shape in mi_scene.shapes():
+        label = parts(scene)[int(shape.id().removeprefix("part_"))].label
+        found[hit.shape == mi.ShapePtr(shape)] = ids[label]
+    return found.numpy().reshape(height, width).astype(np.uint16)
+
+
+@dataclass(frozen=True)
+class _Pass:
+    """Everything a kernel reads."""
+
+    scene: Any
+    camera: Optics
+    lights: Sequence[Light]
+    ambient: float
+    depth: int
+
+    def radiance(
+        self, rows: slice, width: int, samples: int, seed: int
+    ) -> tuple[list[NDArray[np.float32]], list[NDArray[np.float32]], NDArray[np.float32]]:
+        """Mean radiance of a tile: first-vertex channels, later ones (projector by projector), ambient."""
+        shape = (rows.stop - rows.start, width)
+        columns = dr.opaque(mi.UInt32, width)
+        index = dr.arange(mi.UInt32, shape[0] * width) + dr.opaque(mi.UInt32, rows.start * width)
+        row = index // columns
+        corner = mi.Point2f(index - row * columns, row)
+        key = sampling.stream(seed, index)
+        count = dr.opaque(mi.UInt32, samples)
+        numbers = sum(len(light.channels) for light in self.lights)
+
+        def zeros() -> list[Any]:
+            return [dr.zeros(mi.Float, len(index)) for _ in range(numbers)]
+
+        def one_sample(n: Any, first: Any, later: Any, glow: Any) -> tuple[Any, ...]:
+            place = corner + sampling.pixel_point(key, n)
+            lens = self._pair(key, 1, n) if self.camera.lens is not None else None
+            ray = mi.Ray3f(*self.camera.ray(place, lens))
+            gains, bounces, sky = self._path(ray, key, n)
+            first = [a + b for a, b in zip(first, gains, strict=True)]
+            later = [a + b for a, b in zip(later, bounces, strict=True)]
+            return n + 1, first, later, glow + sky
+
+        _, first, later, glow = dr.while_loop(
+            (dr.zeros(mi.UInt32, len(index)), zeros(), zeros(), dr.zeros(mi.Float, len(index))),
+            lambda n, *_: n < count,
+            one_sample,
+            label="samples",
+        )
+        dr.eval(first, later, glow)
+        images = [(x.numpy() / np.float32(samples)).reshape(shape) for x in (*first, *later, glow)]
+        return images[:numbers], images[numbers:-1], images[-1]
+
+    def _path(self, ray: Any, key: Any, n: Any) -> tuple[list[Any], list[Any], Any]:
+        """One path's channels from its first vertex, from its later ones, and its ambient radiance."""
+        weight = mi.Float(1)
+        si = self._intersect(ray, coherent=True, active=True)
+        sky = dr.select(si.is_valid(), 0, mi.Float(self.ambient))
+        active = si.is_valid()
+        first, ray, weight = self._vertex(si, weight, key, n, mi.UInt32(0), active)
+        later = [mi.Float(0) for _ in first]
+        if self.depth == 1 and not self.ambient:
+            return first, later, sky
+        deepest = dr.opaque(mi.UInt32, self.depth)
+
+        def bounce(vertex: Any, active: Any, ray: Any, weight: Any, later: Any, sky: Any) -> Any:
+            si = self._intersect(ray, coherent=False, active=active)
+            if self.ambient:
+                sky = dr.select(active & ~si.is_valid(), dr.fma(weight, self.ambient, sky), sky)
+            active = active & si.is_valid() & (vertex < deepest)
+            gains, ray, weight = self._vertex(si, weight, key, n, vertex, active)
+            later = [a + b for a, b in zip(later, gains, strict=True)]
+            vertex = vertex + 1
+            active &= weight > 0
+            if not self.ambient:
+                active &= vertex < deepest
+            return vertex, active, ray, weight, later, sky
+
+        _, _, _, _, later, sky = dr.while_loop(
+            (mi.UInt32(1), active & (weight > 0), ray, weight, later, sky),
+            lambda vertex, active, *_: active,
+            bounce,
+            label="bounces",
+        )
+        return first, later, sky
+
+    def _vertex(
+        self, si: Any, weight: Any, key: Any, n: Any, vertex: Any, active: Any
+    ) -> tuple[list[Any], Any, Any]:
+        """What every projector's channels add at a vertex, the ray that goes on, and the path's weight along it."""
+        bsdf = si.bsdf()
+        context = mi.BSDFContext()
+        # Dimension pairs of a vertex: which lobe, where to; then one per projector's pupil.
+        dimension = 2 + vertex * (2 + len(self.lights))
+        lobe = self._pair(key, dimension, n).x
+        towards = self._pair(key, dimension + 1, n)
+        gains: list[Any] = []
+        for p, light in enumerate(self.lights):
+            pupil = (
+                self._pair(key, dimension + 2 + p, n) if light.optics.lens is not None else None
+            )
+            source, irradiance, pixel, lit = light.connect(si.p, pupil)
+            wo = si.to_local(dr.normalize(source - si.p))
+            if p == 0:
+                value, _, sample, onward = bsdf.eval_pdf_sample(
+                    context, si, wo, lobe, towards, active
+                )
+            else:
+                value = bsdf.eval(context, si, wo, active)
+            lit &= active & (value.x > 0)
+            lit &= ~self.scene.ray_test(si.spawn_ray_to(source), lit)
+            radiance = dr.select(lit, weight * value.x * irradiance, 0)
+            gains += [radiance * v for v in light.channel_values(pixel, lit)]
+        ray = si.spawn_ray(si.to_world(sample.wo))
+        return gains, ray, weight * onward.x
+
+    def _intersect(self, ray: Any, coherent: bool, active: Any) -> Any:
+        return self.scene.ray_intersect(ray, mi.RayFlags.All, coherent, active)
+
+    def _pair(self, key: Any, dimension: Any, n: Any) -> Any:
+        return sampling.point(key, mi.UInt32(dimension), n)

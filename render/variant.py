@@ -1,0 +1,38 @@
+"""The one place that chooses Mitsuba's variant. Import `mi` and `dr` from here, never directly.
+
+Dr.Jit looks for LLVM once, when it is first imported, so `scenes.backend` must have its say before; and a machine
+without LLVM should be able to import `render` and be told what is missing when it first renders.
+"""
+
+import functools
+import importlib
+from typing import Any
+
+from scenes import backend
+
+
+class _Later:
+    """A module that is imported, after the backend is chosen, when first used."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __getattr__(self, attribute: str) -> Any:
+        _chosen()
+        return getattr(importlib.import_module(self._name), attribute)
+
+
+mi: Any = _Later("mitsuba")
+dr: Any = _Later("drjit")
+
+
+def use() -> None:
+    """Make the machine's variant Mitsuba's current one (a setting of the whole process)."""
+    variant = _chosen().variant
+    if mi.variant() != variant:
+        mi.set_variant(variant)
+
+
+@functools.cache
+def _chosen() -> backend.Backend:
+    return backend.select()
