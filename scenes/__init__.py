@@ -1,0 +1,39 @@
+"""What stands before the camera, and the files everyone shares. Pure data; knows no renderer."""
+
+from scenes.basis import Basis, Channel, basis
+from scenes.calibration import Calibration
+from scenes.load import dumps, load, parse, save, schema, shipped, source
+from scenes.meshes import Part, meshes, parts
+from scenes.patterns import Frame, PhaseShift
+from scenes.rig import Projection
+from scenes.scene import Object, Scene
+from scenes.sensor import Emva, Sensor, SimpleSensor
+from scenes.stack import Stack
+from scenes.truth import Truth
+
+__all__ = [
+    "Basis",
+    "Calibration",
+    "Channel",
+    "Emva",
+    "Frame",
+    "Object",
+    "Part",
+    "PhaseShift",
+    "Projection",
+    "Scene",
+    "Sensor",
+    "SimpleSensor",
+    "Stack",
+    "Truth",
+    "basis",
+    "dumps",
+    "load",
+    "meshes",
+    "parse",
+    "parts",
+    "save",
+    "schema",
+    "shipped",
+    "source",
+]

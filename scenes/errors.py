@@ -1,0 +1,54 @@
+"""The project's one tree of errors.
+
+Policy: bad input (a file, a key, a rig, a mesh, a full disk) raises a `FringebenchError` whose message says what is
+wrong, the value, what is allowed and what to do. The command line prints it and exits with status 2. Anything else that
+escapes is a bug of ours and keeps its traceback.
+"""
+
+import difflib
+from collections.abc import Iterable
+
+
+class FringebenchError(Exception):
+    """Whatever a user can cause and mend."""
+
+
+class SceneError(FringebenchError):
+    """A scene that cannot be: unknown name or key, a value out of range, an impossible rig."""
+
+
+class MeshError(SceneError):
+    """A mesh that cannot be rendered: no faces, NaN vertices, an unreadable file."""
+
+
+class FileError(FringebenchError):
+    """A file that is missing, truncated, foreign, of another version, or cannot be written."""
+
+
+class BackendError(FringebenchError):
+    """No usable LLVM or CUDA on this machine."""
+
+
+class RenderError(FringebenchError):
+    """A request that light transport or the sensor cannot serve."""
+
+
+class DecodeError(FringebenchError):
+    """A stack that cannot be decoded, or a decode that would come out empty."""
+
+
+class ScoreError(FringebenchError):
+    """A reconstruction and a truth that cannot be compared."""
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """A hint naming the nearest valid words, or all of them if none is near.
+
+    >>> nearest("camrea", ["camera", "sensor"])
+    "did you mean 'camera'?"
+    """
+    options = sorted(set(known))
+    match = difflib.get_close_matches(word, options, n=1, cutoff=0.6)
+    if match:
+        return f"did you mean '{match[0]}'?"
+    return "known: " + ", ".join(options)

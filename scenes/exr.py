@@ -1,0 +1,148 @@
+"""One-part OpenEXR files with named channels and a self-describing header.
+
+Layout shared by all of the project's files: scanlines, one channel per image, the header's string attribute
+``fringebench`` a JSON object with at least ``format`` and ``version``. See docs/files.md.
+"""
+
+import json
+import os
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+from numpy.typing import NDArray
+
+from scenes.errors import FileError
+from scenes.replace_file import replacing
+
+VERSION = 1
+ATTRIBUTE = "fringebench"
+# Whole numbers up to here are exact in a half float (11 bits of significand).
+HALF_EXACT = 2048
+
+Channels = Mapping[str, NDArray[Any]]
+
+
+def write(
+    path: str | Path,
+    kind: str,
+    channels: Channels,
+    meta: Mapping[str, Any],
+    standard: Mapping[str, Any] | None = None,
+) -> None:
+    """Write channels (row, col) of one size as float16, float32 or uint32, beside and renamed.
+
+    `meta` is JSON-serialisable and comes back from `read`; `standard` holds OpenEXR's own attributes such as
+    ``expTime``. Raises `FileError` when the file cannot be written; what was at `path` stays.
+    """
+    header: dict[str, Any] = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "software": "fringebench",
+        ATTRIBUTE: json.dumps({"format": kind, "version": VERSION, **meta}),
+        **(standard or {}),
+    }
+    planes = {name: np.ascontiguousarray(plane) for name, plane in channels.items()}
+    # The module starts without worker threads and would compress on one core.
+    OpenEXR.set_global_thread_count(os.cpu_count() or 1)
+    with replacing(path) as beside, _quiet() as said:
+        try:
+            OpenEXR.File(header, planes).write(str(beside))
+        except (RuntimeError, ValueError, TypeError) as error:
+            raise FileError(f"cannot write '{path}': {_first_line(said, error)}") from error
+
+
+def read(path: str | Path, kind: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """Channels and meta of a file written by `write` with that kind.
+
+    Raises `FileError` when the file is missing, truncated, not OpenEXR, not this project's, or of another kind or
+    version.
+    """
+    source = Path(path)
+    if not source.is_file():
+        raise FileError(f"'{source}' does not exist: give the path of a {kind} EXR file")
+    channels, meta = _load(source)
+    if meta is None:
+        raise FileError(
+            f"'{source}' is an OpenEXR file but not one of fringebench's: expected a {kind} file"
+        )
+    if meta.get("format") != kind:
+        raise FileError(
+            f"'{source}' is a {meta.get('format')} file where a {kind} file is expected"
+        )
+    if meta.get("version") != VERSION:
+        raise FileError(
+            f"'{source}' has format version {meta.get('version')}, this program reads {VERSION}: "
+            "write it again with this version, or read it with the one that wrote it"
+        )
+    return channels, meta
+
+
+def kind_of(path: str | Path) -> str:
+    """Which of the project's formats a file is; raises `FileError` as `read` does."""
+    source = Path(path)
+    if not source.is_file():
+        raise FileError(f"'{source}' does not exist")
+    _, meta = _load(source, header_only=True)
+    if meta is None:
+        raise FileError(f"'{source}' is an OpenEXR file but not one of fringebench's")
+    return str(meta.get("format"))
+
+
+def _load(
+    source: Path, header_only: bool = False
+) -> tuple[dict[str, NDArray[Any]], dict[str, Any] | None]:
+    OpenEXR.set_global_thread_count(os.cpu_count() or 1)
+    with _quiet() as said:
+        try:
+            file = OpenEXR.File(str(source), separate_channels=True, header_only=header_only)
+            header = file.header()
+            channels = {} if header_only else file.channels()
+            planes = {name: channel.pixels for name, channel in channels.items()}
+        except (RuntimeError, ValueError, TypeError, MemoryError) as error:
+            raise FileError(
+                f"'{source}' is truncated, damaged or no OpenEXR file: {_first_line(said, error)}"
+            ) from error
+    try:
+        text = header.get(ATTRIBUTE)
+        meta = json.loads(text) if isinstance(text, str) else None
+    except json.JSONDecodeError as error:
+        raise FileError(f"'{source}': its fringebench header is damaged: {error}") from error
+    if meta is not None and not isinstance(meta, dict):
+        raise FileError(f"'{source}': its fringebench header is no JSON object")
+    return planes, meta
+
+
+def counts(frames: NDArray[Any]) -> NDArray[Any]:
+    """Digital numbers in the smallest channel type that holds each exactly: half, else float32."""
+    if frames.dtype == np.uint8:
+        return frames.astype(np.float16)
+    if frames.dtype == np.uint16:
+        exact = frames.size == 0 or int(frames.max()) <= HALF_EXACT
+        return frames.astype(np.float16 if exact else np.float32)
+    return frames.astype(np.float32, copy=False)
+
+
+@contextmanager
+def _quiet() -> Iterator[Any]:
+    """Catch what the OpenEXR library prints on the process's stderr, so that the error is said once and by us."""
+    sys.stderr.flush()
+    with tempfile.TemporaryFile() as said:
+        saved = os.dup(2)
+        os.dup2(said.fileno(), 2)
+        try:
+            yield said
+        finally:
+            os.dup2(saved, 2)
+            os.close(saved)
+
+
+def _first_line(said: Any, error: Exception) -> str:
+    said.seek(0)
+    lines: list[str] = said.read().decode(errors="replace").strip().splitlines()
+    return lines[0] if lines else str(error)

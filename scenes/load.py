@@ -1,0 +1,190 @@
+"""Scenes from TOML and back: shipped names, files, overrides, JSON schema."""
+
+import tomllib
+from collections.abc import Iterator, Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from scenes.errors import FileError, SceneError, nearest
+from scenes.replace_file import replacing
+from scenes.scene import Scene
+
+Overrides = Mapping[str, Any]
+
+
+def shipped() -> tuple[str, ...]:
+    """Names of the scenes that come with the project."""
+    folder = resources.files("scenes") / "shipped"
+    return tuple(sorted(p.name[:-5] for p in folder.iterdir() if p.name.endswith(".toml")))
+
+
+def source(name: str | Path) -> str:
+    """The TOML text of a shipped scene or of a file; `SceneError` or `FileError` if there is none."""
+    path = Path(name)
+    if str(name) in shipped():
+        return (resources.files("scenes") / "shipped" / f"{name}.toml").read_text("utf-8")
+    if not path.is_file():
+        if path.suffix == ".toml" or path.parent != Path():
+            raise FileError(f"scene file '{path}' does not exist: check the path")
+        raise SceneError(
+            f"unknown scene '{name}': {nearest(str(name), shipped())}, or give a TOML file"
+        )
+    try:
+        return path.read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise FileError(f"scene file '{path}' cannot be read: {error}") from error
+
+
+def load(name: str | Path, overrides: Overrides | None = None) -> Scene:
+    """A shipped scene by name, or a TOML file, with overrides by dotted key.
+
+    >>> import scenes
+    >>> scenes.load("bench", {"camera.resolution": [320, 240]}).camera.resolution
+    (320, 240)
+    """
+    text = source(name)
+    folder = None if str(name) in shipped() else Path(name).resolve().parent
+    return parse(text, overrides, where=str(name), folder=folder)
+
+
+def parse(
+    text: str,
+    overrides: Overrides | None = None,
+    where: str = "scene",
+    folder: Path | None = None,
+) -> Scene:
+    """A scene from TOML text; mesh paths are resolved against `folder`. Raises `SceneError`."""
+    try:
+        tree = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise SceneError(f"{where}: not valid TOML: {error}") from error
+    for key, value in (overrides or {}).items():
+        _set(tree, key, value)
+    for item in tree.get("objects", []) if folder else []:
+        shape = item.get("shape", {}) if isinstance(item, dict) else {}
+        if isinstance(shape, dict) and isinstance(shape.get("path"), str):
+            shape["path"] = str(folder / shape["path"])
+    try:
+        return Scene.model_validate(tree)
+    except ValidationError as error:
+        raise SceneError(
+            "\n".join(f"{where}: {_message(d, tree)}" for d in error.errors())
+        ) from None
+
+
+def dumps(scene: Scene) -> str:
+    """The scene as TOML, complete enough to load the same scene again."""
+    return tomli_w.dumps(scene.model_dump(mode="json", exclude_none=True))
+
+
+def save(scene: Scene, path: str | Path) -> None:
+    """Write the scene as TOML, beside and renamed."""
+    with replacing(path) as beside:
+        beside.write_text(dumps(scene), "utf-8")
+
+
+def schema() -> dict[str, Any]:
+    """The JSON schema of a scene file, for editors."""
+    return Scene.model_json_schema()
+
+
+def _set(tree: dict[str, Any], dotted: str, value: Any) -> None:
+    """Set one dotted key; numbers step into lists. A key that leads nowhere is left to validation to name."""
+    node: Any = tree
+    *path, last = dotted.split(".")
+    for i, key in enumerate(path):
+        if isinstance(node, list):
+            node = node[_index(node, key, dotted)]
+        elif isinstance(node, dict):
+            node = node.setdefault(key, {})
+        else:
+            raise SceneError(
+                f"override '{dotted}': '{'.'.join(path[:i])}' is a value, not a table, so it has no '{key}'"
+            )
+    if isinstance(node, list):
+        node[_index(node, last, dotted)] = value
+    elif isinstance(node, dict):
+        node[last] = value
+    else:
+        raise SceneError(f"override '{dotted}': '{'.'.join(path)}' is a value, not a table")
+
+
+def _index(node: list[Any], key: str, dotted: str) -> int:
+    if not key.isdecimal() or int(key) >= len(node):
+        raise SceneError(
+            f"override '{dotted}': '{key}' is no index into a list of {len(node)}: use 0 to {len(node) - 1}"
+        )
+    return int(key)
+
+
+def _message(detail: ErrorDetails, tree: dict[str, Any]) -> str:
+    """One validation error in the project's words: key, value, what is allowed."""
+    location = _written(detail["loc"], tree)
+    if detail["type"] == "extra_forbidden":
+        unknown = str(detail["loc"][-1])
+        return f"unknown key '{location}': {nearest(unknown, _known_keys(detail['loc']))}"
+    if detail["type"] == "missing":
+        return f"key '{location}' is missing: it is required"
+    message = detail["msg"].removeprefix("Value error, ")
+    value = detail["input"]
+    shown = "" if isinstance(value, (dict, BaseModel)) else f" (got {value!r})"
+    return f"{location}: {message}{shown}"
+
+
+def _written(location: tuple[int | str, ...], tree: Any) -> str:
+    """A location as the user wrote it: pydantic adds the names of chosen union branches, which the TOML lacks."""
+    parts = []
+    for position, part in enumerate(location):
+        inside = isinstance(tree, list) or (isinstance(tree, dict) and part in tree)
+        if inside or position == len(location) - 1:
+            parts.append(str(part))
+        if inside:
+            tree = tree[part]
+    return ".".join(parts) or "scene"
+
+
+def _known_keys(location: tuple[int | str, ...]) -> Iterator[str]:
+    """Keys allowed beside the last part of a location, by walking the JSON schema."""
+    root = Scene.model_json_schema()
+    nodes = [root]
+    for part in location[:-1]:
+        nodes = [
+            child for node in nodes for child in _children(_resolve(node, root), part, root)
+        ] or nodes
+    for node in nodes:
+        for option in _options(_resolve(node, root), root):
+            yield from option.get("properties", {})
+
+
+def _resolve(node: dict[str, Any], root: dict[str, Any]) -> dict[str, Any]:
+    while "$ref" in node:
+        node = root["$defs"][node["$ref"].rsplit("/", 1)[-1]]
+    return node
+
+
+def _options(node: dict[str, Any], root: dict[str, Any]) -> list[dict[str, Any]]:
+    branches = node.get("oneOf") or node.get("anyOf")
+    return [_resolve(branch, root) for branch in branches] if branches else [node]
+
+
+def _children(
+    node: dict[str, Any], part: int | str, root: dict[str, Any]
+) -> Iterator[dict[str, Any]]:
+    for option in _options(node, root):
+        if isinstance(part, int):
+            yield from [option["items"]] if "items" in option else []
+        elif part in option.get("properties", {}):
+            yield option["properties"][part]
+        elif isinstance(option.get("additionalProperties"), dict):
+            yield option["additionalProperties"]
+        else:
+            # pydantic names the chosen branch of a tagged union in the location
+            yield from [*option.get("oneOf", []), *option.get("anyOf", [])]
+            mapping = option.get("discriminator", {}).get("mapping", {})
+            if part in mapping:
+                yield {"$ref": mapping[part]}

@@ -1,0 +1,63 @@
+"""A scene's objects as triangle meshes in the world."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+
+from scenes.errors import MeshError
+from scenes.materials import Material, material
+from scenes.scene import Object, Scene
+
+
+@dataclass(frozen=True)
+class Part:
+    """One object, placed: what a renderer needs to know of it."""
+
+    label: str
+    mesh: trimesh.Trimesh
+    """World mm."""
+    material: Material
+    smooth: bool
+    """Shade with vertex normals instead of the triangles' own."""
+
+
+def parts(scene: Scene) -> tuple[Part, ...]:
+    """Every object of the scene as a placed, checked mesh with its material; `MeshError` if one is unusable."""
+    return tuple(
+        Part(item.label, _placed(item), material(item.material, scene.materials), item.smooth)
+        for item in scene.objects
+    )
+
+
+def meshes(scene: Scene) -> dict[str, trimesh.Trimesh]:
+    """Label -> mesh in world mm; objects that share a label come as one mesh.
+
+    >>> import scenes
+    >>> sorted(scenes.meshes(scenes.load("step")))
+    ['base', 'step']
+    """
+    grouped: dict[str, list[trimesh.Trimesh]] = {}
+    for part in parts(scene):
+        grouped.setdefault(part.label, []).append(part.mesh)
+    return {label: trimesh.util.concatenate(group) for label, group in grouped.items()}
+
+
+def _placed(item: Object) -> trimesh.Trimesh:
+    mesh = item.shape.mesh()
+    _check(mesh, item.label)
+    mesh.apply_transform(item.placement())
+    return mesh
+
+
+def _check(mesh: trimesh.Trimesh, label: str) -> None:
+    if not len(mesh.faces):
+        raise MeshError(f"the mesh of '{label}' has no triangles: give it at least one")
+    bad = ~np.isfinite(mesh.vertices).all(axis=1)
+    if bad.any():
+        raise MeshError(
+            f"the mesh of '{label}' has {int(bad.sum())} vertices that are NaN or infinite "
+            f"(first: vertex {int(np.flatnonzero(bad)[0])}): repair or remove them"
+        )
+    if not np.any(mesh.area_faces > 0):
+        raise MeshError(f"every triangle of '{label}' has zero area: check its scale and vertices")

@@ -1,0 +1,146 @@
+"""A scene: everything that decides what the camera sees. Frozen and validated."""
+
+from typing import Annotated, Literal, Self
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
+
+from scenes.emission import Camera, Projector
+from scenes.errors import nearest
+from scenes.frozen import Frozen
+from scenes.materials import LIBRARY, Material
+from scenes.patterns import Frame, Patterns
+from scenes.rig import Vector
+from scenes.sensor import Sensor, SimpleSensor
+from scenes.shapes import Shape
+
+Label = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=64)]
+
+
+class Object(Frozen):
+    """A shape, placed, of one material, under one label."""
+
+    label: Label
+    """Region the object is scored under; several objects may share one."""
+    shape: Shape
+    material: str
+    """Name of a material of the scene or of the library."""
+    position_mm: Vector = (0.0, 0.0, 0.0)
+    rotation_deg: Vector = (0.0, 0.0, 0.0)
+    """Turns about the world's x, y, z axes, in that order, before the move to `position_mm`."""
+    smooth: bool = False
+    """Shade with vertex normals: for curved mirrors and metals."""
+
+    def placement(self) -> NDArray[np.float64]:
+        """The 4 x 4 transform from the shape's frame to the world."""
+        transform = trimesh.transformations.euler_matrix(
+            *np.deg2rad(self.rotation_deg), axes="sxyz"
+        )
+        transform[:3, 3] = self.position_mm
+        return np.asarray(transform, dtype=np.float64)
+
+
+class Ambient(Frozen):
+    """Unmodulated light from all directions."""
+
+    radiance_w_m2_sr: NonNegativeFloat = 0.0
+
+
+class AutoExposure(Frozen):
+    """Bring one label to one digital number by scaling the exposure time."""
+
+    label: Label
+    level_dn: PositiveFloat
+    statistic: Literal["mean", "peak"] = "mean"
+    """mean: the label's mean over pixels and frames; peak: the 99th percentile over its pixels of the brightest frame."""
+
+
+class Exposures(Frozen):
+    """The exposures taken of every pattern: times as given, or relative times scaled by `auto`."""
+
+    times_ms: Annotated[tuple[PositiveFloat, ...], Field(min_length=1)] | None = None
+    relative: Annotated[tuple[PositiveFloat, ...], Field(min_length=1)] = (1.0,)
+    """Times relative to the one that `auto` finds."""
+    auto: AutoExposure | None = None
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        if (self.times_ms is None) == (self.auto is None):
+            raise ValueError("give either times_ms, or auto (with relative for several exposures)")
+        return self
+
+    @property
+    def count(self) -> int:
+        """How many exposures are taken."""
+        return len(self.times_ms or self.relative)
+
+
+class Sampling(Frozen):
+    """How finely light is simulated."""
+
+    samples: PositiveInt = 64
+    """Light paths per pixel."""
+    depth: Annotated[int, Field(ge=1, le=64)] = 3
+    """Surfaces the projector's light may meet on its way to the camera; 1 is direct light only."""
+
+
+class Scene(Frozen):
+    """What stands before the camera, and how it is lit, shown and taken."""
+
+    name: str = "untitled"
+    description: str = ""
+    camera: Camera
+    projectors: Annotated[tuple[Projector, ...], Field(min_length=1, max_length=16)]
+    objects: Annotated[tuple[Object, ...], Field(min_length=1)]
+    materials: dict[str, Material] = {}
+    ambient: Ambient = Ambient()
+    patterns: Patterns
+    sensor: Sensor = SimpleSensor()
+    exposures: Exposures
+    sampling: Sampling = Sampling()
+    height_range_mm: tuple[float, float]
+    """Lowest and highest z expected: the working volume, which decoding may use to find the fringe order."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        low, high = self.height_range_mm
+        if not low < high:
+            raise ValueError(f"height_range_mm {[low, high]}: the first must be below the second")
+        known = LIBRARY.keys() | self.materials.keys()
+        for item in self.objects:
+            if item.material not in known:
+                raise ValueError(
+                    f"object '{item.label}' has unknown material '{item.material}': "
+                    + nearest(item.material, known)
+                )
+        auto = self.exposures.auto
+        if auto and auto.label not in self.labels:
+            raise ValueError(
+                f"exposures.auto.label '{auto.label}' is no object's label: use one of {list(self.labels)}"
+            )
+        for index, projector in enumerate(self.projectors):
+            self._check_rig(index, projector)
+        return self
+
+    def _check_rig(self, index: int, projector: Projector) -> None:
+        camera, light = self.camera.projection(), projector.projection()
+        parallel = np.linalg.norm(np.cross(camera.axis, light.axis)) < 1e-6
+        together = np.linalg.norm(camera.origin_mm - light.origin_mm) < 1e-6
+        blind = parallel if camera.telecentric and light.telecentric else together
+        if blind:
+            raise ValueError(
+                f"camera and projector {index} see along the same rays, so no height can be measured: "
+                "move or tilt one of them"
+            )
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels in order of first use; label i of this tuple has id i + 1 in label maps, 0 is nothing."""
+        return tuple(dict.fromkeys(item.label for item in self.objects))
+
+    @property
+    def frames(self) -> tuple[Frame, ...]:
+        """Every frame shown, in order, of all projectors."""
+        return self.patterns.frames(len(self.projectors))

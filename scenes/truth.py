@@ -1,0 +1,96 @@
+"""What the camera should have measured: per pixel, from rays through pixel centres against the meshes."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes import exr
+from scenes.errors import FileError, ScoreError, nearest
+
+KIND = "truth"
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """Ground truth maps; where the pixel's ray meets nothing, floats are NaN, `label` 0 and `lit` False."""
+
+    xyz_mm: Floats
+    """(row, col, 3) world point."""
+    normal: Floats
+    """(row, col, 3) unit geometric normal, facing the camera."""
+    label: NDArray[np.uint16]
+    """(row, col) index into `labels` plus 1; 0 is nothing."""
+    labels: tuple[str, ...]
+    lit: NDArray[np.bool_]
+    """(projector, row, col): the projector's light reaches the point unblocked and from the seen side."""
+    column_px: Floats
+    """(projector, row, col) continuous projector column of the point, lit or not."""
+    row_px: Floats
+    """(projector, row, col) continuous projector row of the point."""
+    direct_fraction: Floats
+    """(projector, row, col) share of direct light in the white-pattern radiance, [0, 1]; NaN where dark."""
+    scene: str = ""
+    """TOML of the scene."""
+
+    @property
+    def height_mm(self) -> Floats:
+        """(row, col) world z of the point."""
+        return self.xyz_mm[..., 2]
+
+    def region(self, label: str) -> NDArray[np.bool_]:
+        """(row, col) mask of one label; raises `ScoreError` for a label the scene does not have."""
+        if label not in self.labels:
+            raise ScoreError(f"truth has no label '{label}': {nearest(label, self.labels)}")
+        mask: NDArray[np.bool_] = self.label == self.labels.index(label) + 1
+        return mask
+
+    def write(self, path: str | Path) -> None:
+        """Write as EXR: ``xyz.X Y Z``, ``N.X Y Z``, ``label``, and per projector ``P0.lit P0.column ...``."""
+        channels: dict[str, NDArray[Any]] = {"label": self.label.astype(np.uint32)}
+        for i, axis in enumerate("XYZ"):
+            channels[f"xyz.{axis}"] = self.xyz_mm[..., i]
+            channels[f"N.{axis}"] = self.normal[..., i]
+        for p in range(len(self.lit)):
+            channels[f"P{p}.lit"] = self.lit[p].astype(np.float16)
+            channels[f"P{p}.column"] = self.column_px[p]
+            channels[f"P{p}.row"] = self.row_px[p]
+            channels[f"P{p}.direct"] = self.direct_fraction[p]
+        meta = {
+            "units": {
+                "xyz": "mm",
+                "N": "1",
+                "column": "projector px",
+                "row": "projector px",
+                "direct": "1",
+            },
+            "labels": list(self.labels),
+            "projectors": len(self.lit),
+            "scene": self.scene,
+        }
+        exr.write(path, KIND, channels, meta)
+
+    @classmethod
+    def read(cls, path: str | Path) -> Self:
+        """Read a truth file; raises `FileError` on anything but a whole one of this version."""
+        channels, meta = exr.read(path, KIND)
+        try:
+            projectors = range(int(meta["projectors"]))
+            return cls(
+                np.stack([channels[f"xyz.{axis}"] for axis in "XYZ"], axis=-1),
+                np.stack([channels[f"N.{axis}"] for axis in "XYZ"], axis=-1),
+                channels["label"].astype(np.uint16),
+                tuple(str(label) for label in meta["labels"]),
+                np.stack([channels[f"P{p}.lit"] > 0.5 for p in projectors]),
+                np.stack([channels[f"P{p}.column"] for p in projectors]),
+                np.stack([channels[f"P{p}.row"] for p in projectors]),
+                np.stack([channels[f"P{p}.direct"] for p in projectors]),
+                str(meta["scene"]),
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise FileError(
+                f"'{path}': its truth header or channels are damaged: {error}"
+            ) from error
