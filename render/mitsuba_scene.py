@@ -1,5 +1,6 @@
 """A scene as an ordinary Mitsuba scene: geometry for the tracer, and with lights and a camera for Mitsuba's own `path`."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from render.variant import mi, use
 from scenes.basis import basis
 from scenes.errors import RenderError
 from scenes.materials import Conductor, Diffuse, Glossy, Material
-from scenes.meshes import parts
+from scenes.meshes import Part, parts
 from scenes.scene import Scene
 
 # Mitsuba plays Russian roulette from this depth on; paths here end at the scene's depth alone.
@@ -34,7 +35,7 @@ def mitsuba_scene(scene: Scene, frame: int = 0, projector: int = 0) -> Any:
         raise RenderError(f"frame {frame} does not exist: the patterns have {count}, counted from 0")
     use()
     light = scene.projectors[projector]
-    entries = geometry(scene) | {
+    entries = geometry(parts(scene)) | {
         "projector": projector_plugin(
             light, basis(scene.patterns, light, light.resolution), frame
         ),
@@ -51,10 +52,10 @@ def mitsuba_scene(scene: Scene, frame: int = 0, projector: int = 0) -> Any:
     return mi.load_dict(entries)
 
 
-def geometry(scene: Scene) -> dict[str, Any]:
-    """Mitsuba's dictionary of the scene's surfaces alone; part i of `scenes.meshes.parts` is `part_i`."""
+def geometry(surfaces: Sequence[Part]) -> dict[str, Any]:
+    """Mitsuba's dictionary of a scene's surfaces alone; part i is the shape `part_i`."""
     entries: dict[str, Any] = {"type": "scene"}
-    for index, part in enumerate(parts(scene)):
+    for index, part in enumerate(surfaces):
         entries[f"part_{index}"] = _mesh(f"part_{index}", part.mesh, _bsdf(part.material), part.smooth)
     return entries
 

@@ -45,9 +45,12 @@ def trace(
             raise RenderError(f"{name} = {value}: needs at least 1")
     use()
     bases = tuple(basis(scene.patterns, p, p.resolution) for p in scene.projectors)
+    surfaces = parts(scene)
+    mi_scene = mi.load_dict(geometry(surfaces))
+    camera = optics(scene.camera)
     pass_ = _Pass(
-        mi.load_dict(geometry(scene)),
-        optics(scene.camera),
+        mi_scene,
+        camera,
         [
             Light(p, optics(p), b.channels)
             for p, b in zip(scene.projectors, bases, strict=True)
@@ -71,27 +74,28 @@ def trace(
                 total[p, c, part] = first[start + c] + later[start + c]
             start += count
         ambient[part] = glow
+    ids = [scene.labels.index(surface.label) + 1 for surface in surfaces]
+    label = _labels(mi_scene, camera, ids, (height, width))
     return Transport(
-        total, direct, ambient, labels(scene), scene.labels, bases, scene, seed, samples, depth
+        total, direct, ambient, label, scene.labels, bases, scene, seed, samples, depth
     )
 
 
-def labels(scene: Scene) -> NDArray[np.uint16]:
-    """What each pixel's centre sees, (row, col): label i of `scene.labels` as i + 1, nothing as 0."""
-    use()
-    width, height = scene.camera.resolution
-    ids = {label: i + 1 for i, label in enumerate(scene.labels)}
-    mi_scene = mi.load_dict(geometry(scene))
-    index = dr.arange(mi.UInt32, width * height)
-    centre = mi.Point2f(index % width, index // width) + 0.5
+def _labels(
+    mi_scene: Any, camera: Optics, ids: Sequence[int], shape: tuple[int, int]
+) -> NDArray[np.uint16]:
+    """What each pixel's centre sees, (row, col): the id of the part, 0 for nothing."""
+    index = dr.arange(mi.UInt32, shape[0] * shape[1])
+    row = index // shape[1]
+    centre = mi.Point2f(index - row * shape[1], row) + 0.5
     # The middle of the square is the middle of the pupil: the chief ray.
-    ray = mi.Ray3f(*optics(scene.camera).ray(centre, mi.Point2f(0.5)))
+    ray = mi.Ray3f(*camera.ray(centre, mi.Point2f(0.5)))
     hit = mi_scene.ray_intersect_preliminary(ray, coherent=True)
-    found = dr.zeros(mi.UInt32, width * height)
-    for shape in mi_scene.shapes():
-        label = parts(scene)[int(shape.id().removeprefix("part_"))].label
-        found[hit.shape == mi.ShapePtr(shape)] = ids[label]
-    return found.numpy().reshape(height, width).astype(np.uint16)
+    found = dr.zeros(mi.UInt32, len(index))
+    for surface in mi_scene.shapes():
+        number = int(surface.id().removeprefix("part_"))
+        found[hit.shape == mi.ShapePtr(surface)] = ids[number]
+    return found.numpy().reshape(shape).astype(np.uint16)
 
 
 @dataclass(frozen=True)
