@@ -6,7 +6,7 @@ from scenes.load import dumps, load, parse, save, schema, shipped, source
 from scenes.meshes import Part, meshes, parts
 from scenes.patterns import Frame, PhaseShift
 from scenes.rig import Projection
-from scenes.scene import Object, Scene
+from scenes.scene import Exposures, Object, Scene
 from scenes.sensor import Emva, Sensor, SimpleSensor
 from scenes.stack import Stack
 from scenes.truth import Truth
@@ -16,6 +16,7 @@ __all__ = [
     "Calibration",
     "Channel",
     "Emva",
+    "Exposures",
     "Frame",
     "Object",
     "Part",

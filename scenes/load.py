@@ -72,9 +72,10 @@ def parse(
     try:
         return Scene.model_validate(tree)
     except ValidationError as error:
-        raise SceneError(
-            "\n".join(f"{where}: {_message(d, tree)}" for d in error.errors())
-        ) from None
+        details = error.errors()
+        # A list whose items failed is also reported as too short: only the innermost cause helps.
+        inner = [d for d in details if not any(_encloses(d["loc"], e["loc"]) for e in details)]
+        raise SceneError("\n".join(f"{where}: {_message(d, tree)}" for d in inner)) from None
 
 
 def dumps(scene: Scene) -> str:
@@ -136,11 +137,18 @@ def _message(detail: ErrorDetails, tree: dict[str, Any]) -> str:
     return f"{location}: {message}{shown}"
 
 
+def _encloses(outer: tuple[int | str, ...], inner: tuple[int | str, ...]) -> bool:
+    return len(outer) < len(inner) and inner[: len(outer)] == outer
+
+
 def _written(location: tuple[int | str, ...], tree: Any) -> str:
     """A location as the user wrote it: pydantic adds the names of chosen union branches, which the TOML lacks."""
     parts = []
     for position, part in enumerate(location):
-        inside = isinstance(tree, list) or (isinstance(tree, dict) and part in tree)
+        if isinstance(tree, list):
+            inside = isinstance(part, int) and part < len(tree)
+        else:
+            inside = isinstance(tree, dict) and part in tree
         if inside or position == len(location) - 1:
             parts.append(str(part))
         if inside:

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import Discriminator, Field, PositiveFloat, PositiveInt, Tag, model_validator
 
 from scenes.frozen import Frozen
 
@@ -77,7 +77,15 @@ class Extrinsics(Frozen):
         return left @ right, np.asarray(self.t_mm, dtype=np.float64)
 
 
-Pose = LookAt | Extrinsics
+def _pose_kind(value: Any) -> str:
+    matrix = "R" in value if isinstance(value, dict) else isinstance(value, Extrinsics)
+    return "matrix" if matrix else "look_at"
+
+
+Pose = Annotated[
+    Annotated[LookAt, Tag("look_at")] | Annotated[Extrinsics, Tag("matrix")],
+    Discriminator(_pose_kind),
+]
 
 
 class PinholeLens(Frozen):

@@ -1,0 +1,5 @@
+"""``python -m fringebench``."""
+
+from fringebench.cli import main
+
+main()

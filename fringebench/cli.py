@@ -1,0 +1,274 @@
+"""The command line. Exit status: 0 done, 1 a gate failed, 2 bad input or use."""
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+import scenes
+from fringebench.overrides import parse_overrides
+from scenes.errors import FringebenchError
+
+app = typer.Typer(
+    name="fringebench",
+    help="Render structured-light scenes, decode them, and score the heights against the mesh that was rendered.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+)
+
+SceneName = Annotated[str, typer.Argument(help="A shipped scene's name, or a TOML file.")]
+Settings = Annotated[
+    list[str],
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help="Override a key of the scene; may be repeated."
+    ),
+]
+Seed = Annotated[int, typer.Option(help="Seed of light paths and noise.", min=0)]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
+Output = Annotated[Path | None, typer.Option("-o", "--output", help="Where to write.")]
+Input = Annotated[Path, typer.Argument(help="An EXR file of the step before.")]
+
+
+@app.command(epilog="Example: fringebench run solder --set camera.resolution=[320,240] -o out")
+def run(
+    scene: SceneName = "bench",
+    output: Output = None,
+    settings: Settings = [],  # noqa: B006
+    seed: Seed = 0,
+    fusion: Annotated[str, typer.Option(help="Exposure fusion rule.")] = "max-modulation",
+    as_json: AsJson = False,
+) -> None:
+    """The whole way: trace, expose, decode, score; writes every file and prints the score table."""
+    loaded = scenes.load(scene, parse_overrides(settings))
+    folder = output or Path(f"fringebench-{loaded.name}")
+
+    from fringebench.progress import Steps
+    from fringebench.run import run as run_scene
+
+    result = run_scene(loaded, folder, seed, fusion, Steps(_terminal()))
+    if as_json:
+        _print_json(result.score.to_dict())
+        return
+    from fringebench.tables import feature_table, score_table
+
+    console = _console()
+    console.print(score_table(result.naive, _naive_title(result.stack)))
+    console.print(
+        score_table(
+            result.score, f"all {len(result.stack.exposure_ms)} exposures, fused by {fusion}"
+        )
+    )
+    if result.score.features:
+        console.print(feature_table(result.score))
+    spent = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in result.seconds.items())
+    console.print(f"files in {result.folder}  ({spent})", highlight=False)
+
+
+@app.command("scenes", epilog="Example: fringebench scenes bench > mine.toml")
+def list_scenes(
+    name: Annotated[str | None, typer.Argument(help="Print this scene's TOML.")] = None,
+    schema: Annotated[
+        bool, typer.Option("--schema", help="Print the JSON schema of scene files.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """List the shipped scenes, print one's TOML, or print the schema."""
+    if schema:
+        _print_json(scenes.schema())
+    elif name:
+        text = scenes.source(name)
+        if as_json:
+            _print_json(scenes.parse(text, where=name).model_dump(mode="json"))
+        else:
+            sys.stdout.write(text)
+    else:
+        listed = {n: scenes.load(n).description for n in scenes.shipped()}
+        if as_json:
+            _print_json(listed)
+        else:
+            from rich.table import Table
+
+            table = Table("scene", "what it shows")
+            for shipped, description in listed.items():
+                table.add_row(shipped, description)
+            _console().print(table)
+
+
+@app.command("render", epilog="Example: fringebench render step -o transport.exr --truth truth.exr")
+def render_scene(
+    scene: SceneName,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Transport file.")] = Path(
+        "transport.exr"
+    ),
+    truth: Annotated[Path | None, typer.Option(help="Also write the truth maps here.")] = None,
+    settings: Settings = [],  # noqa: B006
+    seed: Seed = 0,
+    samples: Annotated[int | None, typer.Option(help="Light paths per pixel.", min=1)] = None,
+    depth: Annotated[
+        int | None, typer.Option(help="Surfaces light may meet; 1: direct only.", min=1)
+    ] = None,
+) -> None:
+    """Trace a scene's light transport, once, for all its patterns."""
+    loaded = scenes.load(scene, parse_overrides(settings))
+    import render
+
+    with _step("trace light"):
+        transport = render.trace(loaded, seed=seed, samples=samples, depth=depth)
+    transport.write(output)
+    if truth:
+        with _step("truth"):
+            render.truth(loaded, transport).write(truth)
+
+
+@app.command(
+    epilog="Example: fringebench expose transport.exr -o stack.exr --exposure-ms 2 --exposure-ms 8"
+)
+def expose(
+    transport: Input,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Stack file.")] = Path("stack.exr"),
+    exposure_ms: Annotated[
+        list[float], typer.Option(help="Exposure time; may be repeated. Default: the scene's own.")
+    ] = [],  # noqa: B006
+    seed: Seed = 0,
+) -> None:
+    """Turn transport into frames of digital numbers: exposures, noise, clipping."""
+    import render
+
+    light = render.Transport.read(transport)
+    exposures = scenes.Exposures(times_ms=tuple(exposure_ms)) if exposure_ms else None
+    with _step("expose"):
+        render.expose(light, seed=seed, exposures=exposures).write(output)
+
+
+@app.command(
+    "decode", epilog="Example: fringebench decode stack.exr -o reconstruction.exr --fusion single"
+)
+def decode_stack(
+    stack: Input,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Reconstruction file.")] = Path(
+        "reconstruction.exr"
+    ),
+    fusion: Annotated[str, typer.Option(help="Exposure fusion rule.")] = "max-modulation",
+    unwrap: Annotated[
+        str | None, typer.Option(help="Unwrapping: temporal, row-scan, quality-guided.")
+    ] = None,
+    height: Annotated[
+        str | None, typer.Option(help="Height: triangulation, reference-plane, linear.")
+    ] = None,
+    roi: Annotated[
+        tuple[int, int, int, int] | None,
+        typer.Option(metavar="ROW0 ROW1 COL0 COL1", help="Decode only this region."),
+    ] = None,
+) -> None:
+    """Reconstruct heights from a stack."""
+    import decode
+
+    with _step("decode"):
+        decode.reconstruct(
+            scenes.Stack.read(stack), fusion=fusion, unwrap=unwrap, height=height, roi=roi
+        ).write(output)
+
+
+@app.command(epilog="Example: fringebench evaluate reconstruction.exr truth.exr --json")
+def evaluate(
+    reconstruction: Input,
+    truth: Annotated[Path, typer.Argument(help="The truth file.")],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Also write scores JSON here.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Score a reconstruction against the truth."""
+    import decode
+    import evaluation
+
+    score = evaluation.score(decode.Reconstruction.read(reconstruction), scenes.Truth.read(truth))
+    if output:
+        score.write(output)
+    if as_json:
+        _print_json(score.to_dict())
+        return
+    from fringebench.tables import feature_table, score_table
+
+    _console().print(score_table(score, str(reconstruction)))
+    if score.features:
+        _console().print(feature_table(score))
+
+
+@app.command(epilog="Example: fringebench chapter -o figures --json")
+def chapter(output: Output = None, seed: Seed = 0, as_json: AsJson = False) -> None:
+    """The chapter's three captures: its figures as PNGs, and chapter beside theory beside measured."""
+    from fringebench.chapter import run as run_chapter
+
+    with _step("chapter"):
+        result = run_chapter(output, seed=seed)
+    if as_json:
+        _print_json(result.to_dict())
+        return
+    from fringebench.tables import chapter_table
+
+    _console().print(chapter_table(result))
+    if output:
+        _console().print(f"figures in {output}", highlight=False)
+
+
+@app.command(epilog="Example: fringebench doctor --json")
+def doctor(as_json: AsJson = False) -> None:
+    """What this machine has, and what to do about what is missing."""
+    from fringebench.doctor import diagnose
+
+    diagnosis = diagnose()
+    if as_json:
+        _print_json(diagnosis.to_dict())
+    else:
+        from fringebench.tables import doctor_table
+
+        _console().print(doctor_table(diagnosis))
+        for problem in diagnosis.problems:
+            _console().print(f"[bold red]missing:[/] {problem}")
+    if not diagnosis.healthy:
+        raise typer.Exit(2)
+
+
+def main() -> None:
+    """Run the command line; errors a user can mend are one message and status 2."""
+    try:
+        app()
+    except FringebenchError as error:
+        sys.stderr.write(f"fringebench: {error}\n")
+        sys.exit(2)
+    except BrokenPipeError:
+        # The reader of our output went away (| head): nothing is wrong, and nothing more can be said.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(0)
+
+
+def _console() -> Console:
+    return Console()
+
+
+def _terminal() -> Console:
+    return Console(stderr=True)
+
+
+def _step(name: str) -> Any:
+    from fringebench.progress import Steps
+
+    return Steps(_terminal()).step(name)
+
+
+def _print_json(value: Any) -> None:
+    sys.stdout.write(json.dumps(value, indent=2, allow_nan=False) + "\n")
+
+
+def _naive_title(stack: scenes.Stack) -> str:
+    return "one exposure, saturation ignored (what the chapter warns of)"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,29 @@
+"""``--set key=value`` on the command line: values are TOML, bare words are text."""
+
+import tomllib
+from collections.abc import Iterable
+from typing import Any
+
+from scenes.errors import SceneError
+
+
+def parse_overrides(settings: Iterable[str]) -> dict[str, Any]:
+    """Dotted key -> value of each ``key=value``; `SceneError` for one without a key or an equals sign.
+
+    >>> parse_overrides(["camera.resolution=[320, 240]", "sensor.kind=simple"])
+    {'camera.resolution': [320, 240], 'sensor.kind': 'simple'}
+    """
+    return dict(_one(setting) for setting in settings)
+
+
+def _one(setting: str) -> tuple[str, Any]:
+    key, equals, text = setting.partition("=")
+    key = key.strip()
+    if not equals or not key or "" in key.split("."):
+        raise SceneError(
+            f"--set '{setting}': write key=value with a dotted key, e.g. --set camera.resolution=[320,240]"
+        )
+    try:
+        return key, tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return key, text.strip()

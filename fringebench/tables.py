@@ -1,0 +1,94 @@
+"""Scores and comparisons as tables for the terminal."""
+
+from typing import TYPE_CHECKING
+
+from rich.table import Table
+
+import evaluation
+from fringebench.doctor import Diagnosis
+
+if TYPE_CHECKING:
+    from fringebench.chapter import ChapterResult
+
+
+def score_table(score: evaluation.Score, title: str) -> Table:
+    """One row per region: how much was measured, how wrong it is, how wrong it was expected to be."""
+    table = Table(title=title, title_justify="left")
+    table.add_column("region")
+    for name in (
+        "pixels",
+        "covered %",
+        "bias µm",
+        "RMS µm",
+        "predicted µm",
+        "p95 µm",
+        "outliers %",
+    ):
+        table.add_column(name, justify="right")
+    for label, region in score.regions.items():
+        table.add_row(
+            label,
+            f"{region.pixels}",
+            _number(region.coverage, 100, 1),
+            _number(region.bias_mm, 1000, 1),
+            _number(region.rms_mm, 1000, 1),
+            _number(region.predicted_sd_mm, 1000, 1),
+            _number(region.p95_abs_mm, 1000, 1),
+            _number(region.outlier_fraction, 100, 2),
+        )
+    return table
+
+
+def feature_table(score: evaluation.Score) -> Table:
+    """One row per feature: measured, true, difference."""
+    table = Table(title="features", title_justify="left")
+    table.add_column("feature")
+    for name in ("measured mm", "truth mm", "difference µm"):
+        table.add_column(name, justify="right")
+    for label, feature in score.features.items():
+        measured, truth = feature.measured_mm, feature.truth_mm
+        both = measured is not None and truth is not None
+        difference = measured - truth if measured is not None and truth is not None else None
+        table.add_row(
+            label,
+            _number(measured, 1, 4),
+            _number(truth, 1, 4),
+            _number(difference, 1000, 1) if both else "-",
+        )
+    return table
+
+
+def chapter_table(result: "ChapterResult") -> Table:
+    """The chapter's figures beside theory and measurement."""
+    table = Table(title="the chapter's experiments", title_justify="left")
+    table.add_column("figure")
+    for name in ("chapter", "theory", "measured"):
+        table.add_column(name, justify="right")
+    table.add_column("note")
+    for row in result.rows:
+        table.add_row(
+            row.name,
+            _number(row.chapter, 1, 4),
+            _number(row.theory, 1, 4),
+            _number(row.measured, 1, 4),
+            row.note,
+        )
+    return table
+
+
+def doctor_table(diagnosis: Diagnosis) -> Table:
+    """What this machine has."""
+    table = Table(show_header=False)
+    table.add_row("Python", diagnosis.python)
+    table.add_row("platform", f"{diagnosis.platform}, {diagnosis.cores} cores")
+    for name, version in diagnosis.packages.items():
+        table.add_row(name, version)
+    table.add_row("backend", f"{diagnosis.backend or 'none'} ({diagnosis.variant or '-'})")
+    table.add_row("CUDA device", "yes" if diagnosis.cuda else "no")
+    llvm = f"{diagnosis.llvm_version} at {diagnosis.llvm_path} ({diagnosis.llvm_origin})"
+    table.add_row("LLVM", llvm if diagnosis.llvm_path else "none")
+    return table
+
+
+def _number(value: float | None, scale: float, digits: int) -> str:
+    return "-" if value is None else f"{value * scale:.{digits}f}"

@@ -1,0 +1,86 @@
+"""The choice of LLVM: never one that aborts the process, always the user's word first."""
+
+import importlib.util
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from scenes import backend
+from scenes.errors import BackendError
+
+
+def test_the_users_llvm_is_honoured(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    mine = tmp_path / "libLLVM-19.so"
+    mine.touch()
+    monkeypatch.setenv(backend.VARIABLE, str(mine))
+    assert backend.find_llvm() == backend.Llvm(mine, 19, "user")
+
+
+def test_an_old_system_llvm_is_never_picked(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    old = [tmp_path / "libLLVM-14.so", tmp_path / "libLLVM-15.so.1"]
+    monkeypatch.delenv(backend.VARIABLE, raising=False)
+    monkeypatch.setattr(backend, "_of_environment", list)
+    monkeypatch.setattr(backend, "_of_system", lambda: old)
+    assert backend.find_llvm() is None
+    new = tmp_path / "libLLVM.so.18.1"
+    monkeypatch.setattr(backend, "_of_system", lambda: [*old, new, tmp_path / "libLLVM-16.so"])
+    assert backend.find_llvm() == backend.Llvm(new, 18, "system")
+
+
+@pytest.mark.parametrize(
+    ("name", "version"),
+    [
+        ("libLLVM.so.22.1", 22),
+        ("libLLVM-15.so.1", 15),
+        ("libLLVM-14.0.6.so.1", 14),
+        ("libLLVM.so", 0),
+    ],
+)
+def test_the_version_is_read_from_the_name(tmp_path: Path, name: str, version: int) -> None:
+    assert backend.version_of(tmp_path / name) == version
+
+
+@pytest.mark.parametrize(
+    ("path", "said"),
+    [("/nowhere/libLLVM.so", "does not exist"), ("libLLVM-15.so", "needs 16 or newer")],
+)
+def test_a_wrong_choice_of_the_user_is_refused_with_the_remedy(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, path: str, said: str
+) -> None:
+    (tmp_path / "libLLVM-15.so").touch()
+    monkeypatch.setenv(backend.VARIABLE, str(tmp_path / path))
+    with pytest.raises(BackendError, match=said):
+        backend.select()
+
+
+def test_without_any_llvm_a_fresh_process_says_so_instead_of_dying() -> None:
+    # Dr.Jit left alone would search the system and may abort or raise SIGFPE: only a process of its own can show that.
+    code = (
+        "import scenes.backend as b\n"
+        "b._of_environment = lambda: []\n"
+        "b._of_system = lambda: []\n"
+        "try: print('chose', b.select().name)\n"
+        "except b.BackendError as e: print('refused', e)\n"
+    )
+    environment = {k: v for k, v in os.environ.items() if k != backend.VARIABLE}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert (
+        done.stdout.startswith("chose cuda")
+        or "pip install karellen-llvm-core" in done.stdout
+        or (sys.platform == "darwin" and "brew install llvm" in done.stdout)
+    )
+
+
+@pytest.mark.skipif(
+    importlib.util.find_spec("drjit") is None, reason="drjit is not installed on this machine"
+)
+def test_this_machine_has_a_backend() -> None:
+    assert backend.select().name in {"llvm", "cuda"}

@@ -1,0 +1,129 @@
+"""Scenes from TOML: what is accepted, what is refused, and how the refusal reads."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+import scenes
+from scenes.errors import FileError, FringebenchError, MeshError, SceneError
+
+
+@pytest.mark.parametrize("name", scenes.shipped())
+def test_a_shipped_scene_survives_toml_unchanged(name: str) -> None:
+    scene = scenes.load(name)
+    assert scenes.parse(scenes.dumps(scene)) == scene
+
+
+def test_every_promised_scene_is_shipped() -> None:
+    promised = {"cap", "step", "ink", "solder", "bench", "chapter", "chapter-dim", "chapter-trap"}
+    assert promised <= set(scenes.shipped())
+
+
+def test_fewer_pixels_keep_the_field_of_view() -> None:
+    for name in ("bench", "chapter"):
+        fine, coarse = scenes.load(name), scenes.load(name, {"camera.resolution": [64, 48]})
+        a, b = fine.camera.projection(), coarse.camera.projection()
+        corner = np.array([[0.0, 0.0], [1.0, 1.0]])
+        np.testing.assert_allclose(
+            a.rays(corner * [a.width, a.height]), b.rays(corner * [b.width, b.height]), atol=1e-12
+        )
+
+
+@pytest.mark.parametrize(
+    ("override", "expected"),
+    [
+        (
+            {"camera.resolutoin": [4, 3]},
+            "unknown key 'camera.resolutoin': did you mean 'resolution'",
+        ),
+        ({"camra": 1}, "unknown key 'camra': did you mean 'camera'"),
+        ({"objects.0.shape.sizemm": [1, 2]}, "did you mean 'size_mm'"),
+        (
+            {"patterns.steps": 2},
+            "patterns.steps: Input should be greater than or equal to 3 (got 2)",
+        ),
+        ({"patterns.periods_px": [16.0, 8.0]}, "finest first, e.g. [8.0, 16.0]"),
+        ({"objects.0.material": "gold2"}, "did you mean 'gold'"),
+        ({"exposures.auto.label": "bse"}, "no object's label"),
+        ({"camera.fx_px": float("nan")}, "camera.fx_px: Input should be a finite number"),
+        (
+            {"camera.pose": {"R": [[1, 0, 0], [0, 1, 0], [0, 0, 2]], "t_mm": [0, 0, 0]}},
+            "no rotation",
+        ),
+        ({"camera.pose.origin_mm": [0, 0, 0]}, "coincide"),
+        ({"projectors.0.pose": {"origin_mm": [0, 0, 300]}}, "no height can be measured"),
+        ({"camera.distortion": [-60, 0, 0, 0, 0]}, "folds over"),
+        ({"objects.99.label": "x"}, "use 0 to"),
+        ({"camera.resolution.x": 3}, "no index into a list"),
+        ({"name.first": 3}, "is a value, not a table"),
+        ({"height_range_mm": [3.0, 1.0]}, "must be below"),
+    ],
+)
+def test_a_bad_key_or_value_is_named_with_what_is_allowed(
+    override: dict[str, object], expected: str
+) -> None:
+    with pytest.raises(SceneError) as caught:
+        scenes.load("bench", override)
+    assert expected in str(caught.value)
+
+
+def test_an_unknown_scene_names_the_nearest() -> None:
+    with pytest.raises(SceneError, match="did you mean 'bench'"):
+        scenes.load("bnch")
+    with pytest.raises(FileError, match="does not exist"):
+        scenes.load("nowhere/mine.toml")
+
+
+def test_broken_toml_is_refused_with_its_place(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text("[camera\n")
+    with pytest.raises(SceneError, match=r"mine\.toml: not valid TOML.*line 1"):
+        scenes.load(path)
+
+
+def test_saving_over_a_scene_keeps_the_old_one_when_it_cannot_be_written(tmp_path: Path) -> None:
+    target = tmp_path / "folder"
+    target.mkdir()
+    with pytest.raises(FringebenchError, match="is a folder"):
+        scenes.save(scenes.load("cap"), target)
+    with pytest.raises(FileError, match="cannot write"):
+        scenes.save(scenes.load("cap"), tmp_path / "missing" / "scene.toml")
+    scenes.save(scenes.load("cap"), tmp_path / "scene.toml")
+    assert tomllib.loads((tmp_path / "scene.toml").read_text())["name"] == "cap"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["folder", "scene.toml"]
+
+
+def own_mesh(tmp_path: Path, mesh: trimesh.Trimesh, suffix: str = "stl") -> scenes.Scene:
+    mesh.export(tmp_path / f"part.{suffix}")
+    text = scenes.source("step").replace(
+        'kind = "box", size_mm = [8.0, 8.0, 1.5]', f'kind = "file", path = "part.{suffix}"'
+    )
+    (tmp_path / "mine.toml").write_text(text)
+    return scenes.load(tmp_path / "mine.toml")
+
+
+@pytest.mark.parametrize("suffix", ["stl", "ply", "obj"])
+def test_a_users_mesh_lies_where_the_scene_puts_it(tmp_path: Path, suffix: str) -> None:
+    scene = own_mesh(tmp_path, trimesh.creation.box(extents=(2, 4, 6)), suffix)
+    np.testing.assert_allclose(scenes.meshes(scene)["step"].extents, [2, 4, 6], atol=1e-6)
+
+
+def test_a_mesh_with_nan_or_without_area_is_refused(tmp_path: Path) -> None:
+    box = trimesh.creation.box()
+    box.vertices[3] = np.nan
+    with pytest.raises(MeshError, match="NaN or infinite"):
+        scenes.meshes(
+            own_mesh(tmp_path, trimesh.Trimesh(box.vertices, box.faces, process=False), "ply")
+        )
+    flat = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]], process=False)
+    with pytest.raises(MeshError, match="zero area"):
+        scenes.meshes(own_mesh(tmp_path, flat, "ply"))
+    (tmp_path / "part.ply").write_bytes(b"ply\nnot really")
+    with pytest.raises(MeshError, match="cannot be read"):
+        scenes.meshes(scenes.load(tmp_path / "mine.toml"))
+    (tmp_path / "part.ply").unlink()
+    with pytest.raises(MeshError, match="does not exist"):
+        scenes.meshes(scenes.load(tmp_path / "mine.toml"))

@@ -1,0 +1,85 @@
+"""Rig geometry against OpenCV and against itself."""
+
+import cv2
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scenes.rig import Extrinsics, LookAt, Pinhole, Telecentric, distort, monotone_radius, undistort
+
+DISTORTION = (-0.12, 0.05, 8e-4, -5e-4, 0.01)
+ROUNDING = 1e-9
+
+
+def pinhole(distortion: tuple[float, float, float, float, float]) -> Pinhole:
+    return Pinhole(
+        resolution=(640, 480),
+        pose=LookAt(origin_mm=(30.0, -40.0, 300.0), target_mm=(1.0, 2.0, 0.0)),
+        fx_px=900.0,
+        fy_px=905.0,
+        cx_px=322.0,
+        cy_px=238.0,
+        distortion=distortion,
+    )
+
+
+def test_projection_is_opencvs_half_a_pixel_on() -> None:
+    geometry = pinhole(DISTORTION).projection()
+    points = np.random.default_rng(1).uniform([-80, -60, -20], [80, 60, 20], (200, 3))
+    matrix = np.array([[900.0, 0, 321.5], [0, 905.0, 237.5], [0, 0, 1]])
+    turn, _ = cv2.Rodrigues(geometry.R)
+    expected, _ = cv2.projectPoints(points, turn, geometry.t, matrix, np.array(DISTORTION))
+    np.testing.assert_allclose(geometry.project(points)[0], expected[:, 0] + 0.5, atol=1e-7)
+
+
+def test_a_ray_lands_on_the_pixel_it_came_from() -> None:
+    for device in (
+        pinhole(DISTORTION),
+        Telecentric(
+            resolution=(640, 480), field_width_mm=40.0, pose=LookAt(origin_mm=(-80, 5, 200))
+        ),
+    ):
+        geometry = device.projection()
+        pixels = geometry.pixel_centres()[::37, ::41]
+        origin, direction = geometry.rays(pixels)
+        back, depth = geometry.project(origin + 250.0 * direction)
+        np.testing.assert_allclose(back, pixels, atol=ROUNDING * 640)
+        assert (depth > 0).all()
+
+
+def test_the_camera_looks_down_with_x_along_columns_and_y_up() -> None:
+    camera = Telecentric(
+        resolution=(400, 300), field_width_mm=40.0, pose=LookAt(origin_mm=(0, 0, 9))
+    )
+    pixels, depth = camera.projection().project([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 2]])
+    np.testing.assert_allclose(
+        pixels, [[200, 150], [210, 150], [200, 140], [200, 150]], atol=ROUNDING
+    )
+    np.testing.assert_allclose(depth, [9, 9, 9, 7])
+
+
+def test_what_is_behind_a_pinhole_or_beyond_its_lens_is_not_imaged() -> None:
+    geometry = pinhole((-0.3, 0.0, 0.0, 0.0, 0.0)).projection()
+    behind = geometry.origin_mm - 10.0 * geometry.axis
+    beside = geometry.origin_mm + geometry.axis + 2.0 * geometry.max_radius * geometry.R[0]
+    assert np.isnan(geometry.project([behind, beside])[0]).all()
+
+
+def test_a_matrix_pose_is_the_look_at_pose_it_was_taken_from() -> None:
+    look = LookAt(origin_mm=(10.0, 20.0, 300.0), target_mm=(0.0, 5.0, 0.0))
+    R, t = look.matrix()
+    again = Extrinsics(R=tuple(map(tuple, R)), t_mm=tuple(t))
+    np.testing.assert_allclose(again.matrix()[0], R, atol=1e-15)
+    np.testing.assert_allclose(again.matrix()[1], t)
+
+
+@given(st.floats(-0.2, 0.2), st.floats(-0.1, 0.1), st.floats(-2e-3, 2e-3), st.floats(-2e-3, 2e-3))
+def test_undistorting_undoes_distorting_inside_the_monotone_radius(
+    k1: float, k2: float, p1: float, p2: float
+) -> None:
+    coefficients = (k1, k2, p1, p2, 0.0)
+    # Tangential terms of 2e-3 move the turning point by less than a tenth.
+    reach = min(0.5, 0.6 * monotone_radius(coefficients))
+    x, y = reach * np.cos(np.arange(12)), reach * np.sin(np.arange(12))
+    back = undistort(*distort(x, y, coefficients), coefficients)
+    np.testing.assert_allclose(back, [x, y], atol=ROUNDING)
