@@ -1,7 +1,9 @@
 """Light: a scene becomes linear transport, digital numbers and truth."""
 
+from render.expose import expose
 from render.mitsuba_scene import mitsuba_scene
 from render.tracer import trace
 from render.transport import Transport
+from render.truth import truth
 
-__all__ = ["Transport", "mitsuba_scene", "trace"]
+__all__ = ["Transport", "expose", "mitsuba_scene", "trace", "truth"]

@@ -16,6 +16,8 @@ PLANCK_J_S = 6.62607015e-34
 LIGHT_M_S = 299792458.0
 # Rounding to whole numbers is uniform noise of one DN width (EMVA 1288, eq. 8).
 QUANTISATION_VARIANCE_DN2 = 1.0 / 12.0
+# One full well in 3.5 million reads lower than this many standard deviations below the mean.
+WELL_MARGIN = 5.0
 
 Fraction = Annotated[float, Field(gt=0.0, le=1.0)]
 
@@ -105,8 +107,14 @@ class Emva(Digitiser):
 
     @property
     def saturation_dn(self) -> float:
-        """From this digital number up a sample is saturated: the converter's end or the full well's, whichever is less."""
-        well = self.black_level_dn + self.gain_dn_per_e * self.full_well_e
+        """From this digital number up a sample is saturated: the converter's end or the full well's, whichever is less.
+
+        Read-out noise comes after the full well, so full wells scatter about its digital number: the limit lies below
+        it by `WELL_MARGIN` of their standard deviation, else half of them would pass for good samples.
+        """
+        scatter_e = float(np.hypot(self.read_noise_e, self.dsnu_e))
+        full_e = self.full_well_e - WELL_MARGIN * scatter_e
+        well = self.black_level_dn + self.gain_dn_per_e * full_e
         return min(self.full_scale_dn, float(np.floor(well)) if self.bits else well)
 
     @property

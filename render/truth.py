@@ -1,0 +1,211 @@
+"""Truth: what every camera pixel should have measured, from rays through pixel centres against the meshes.
+
+Mitsuba finds which triangle a ray meets, in float32; the point, its normal and its projector pixel are then computed
+from that triangle in float64.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from render.mitsuba_scene import geometry
+from render.tracer import trace
+from render.transport import Transport
+from render.variant import mi, use
+from scenes.errors import RenderError
+from scenes.load import dumps
+from scenes.materials import Diffuse
+from scenes.meshes import Part, parts
+from scenes.patterns import PhaseShift
+from scenes.rig import Projection
+from scenes.scene import Scene
+from scenes.truth import Truth
+
+Points = NDArray[np.float64]
+
+# Pixels worked on at once: some 200 MB of float64.
+BLOCK = 1 << 20
+# Light paths per pixel where the share of direct light has to be traced first.
+SAMPLES = 16
+# How far from its surface a shadow ray starts, in scene radii: 50 times float32's rounding of a coordinate.
+LIFT = 50 * 2.0**-24
+
+
+def truth(scene: Scene, transport: Transport | None = None) -> Truth:
+    """Ground truth of every pixel's centre: point, normal, label, and for each projector what it lights and where.
+
+    A camera or projector with a lens is taken at the centre of its pupil. `lit` says that a point lies in the
+    projector's image, turns the side that the camera sees to the projector, and that no triangle lies between. Normals
+    are the triangles' own, also where shading is smooth.
+
+    `direct_fraction` is the mean over the pixel's area, not its centre's, and is as noisy as its light: that of
+    `transport`, or of a small one (16 paths per pixel, white only) traced here. For a projector with gamma or
+    quantised values a transport holds no white; the nearest combination of its patterns stands for it.
+
+    Raises `RenderError` for a transport of another camera or other projectors.
+    """
+    use()
+    surface = _Surface.of(scene)
+    camera = scene.camera.projection()
+    projectors = [projector.projection() for projector in scene.projectors]
+    pixels = camera.pixel_centres().reshape(-1, 2)
+    count, shape = len(pixels), (camera.height, camera.width)
+
+    xyz = np.full((count, 3), np.nan, np.float32)
+    normal = np.full((count, 3), np.nan, np.float32)
+    label = np.zeros(count, np.uint16)
+    lit = np.zeros((len(projectors), count), np.bool_)
+    image = np.full((2, len(projectors), count), np.nan, np.float32)
+    for start in range(0, count, BLOCK):
+        origin, direction = camera.rays(pixels[start : start + BLOCK])
+        triangle = surface.first_hit(origin, direction)
+        hit = np.flatnonzero(triangle >= 0)
+        triangle, at = triangle[hit], start + hit
+        point, facing = surface.meet(triangle, origin[hit], direction[hit])
+        xyz[at], normal[at], label[at] = point, facing, surface.label[triangle]
+        for p, projection in enumerate(projectors):
+            where, _ = projection.project(point)
+            image[:, p, at] = where.T
+            lit[p, at] = surface.lit(point, facing, where, projection)
+    label = label.reshape(shape)
+    return Truth(
+        xyz.reshape(*shape, 3),
+        normal.reshape(*shape, 3),
+        label,
+        scene.labels,
+        lit.reshape(-1, *shape),
+        image[0].reshape(-1, *shape),
+        image[1].reshape(-1, *shape),
+        _direct_fraction(scene, transport, label > 0),
+        dumps(scene),
+    )
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """All objects as one mesh."""
+
+    corners: Points
+    """(triangle, 3, 3) world mm."""
+    label: NDArray[np.uint16]
+    """Of each triangle."""
+    centre: Points
+    radius: float
+    """Of a sphere around everything."""
+    scene: Any
+    """The same about the origin, for Mitsuba."""
+
+    @classmethod
+    def of(cls, scene: Scene) -> "_Surface":
+        surfaces = parts(scene)
+        ids = [scene.labels.index(part.label) + 1 for part in surfaces]
+        mesh = trimesh.util.concatenate([part.mesh for part in surfaces])
+        low, high = mesh.bounds
+        centre = (low + high) / 2
+        corners = np.asarray(mesh.triangles, np.float64)
+        # One shape, so that Mitsuba's triangle numbers are the mesh's, about the origin, where float32 is finest.
+        mesh.apply_translation(-centre)
+        whole = Part("", mesh, Diffuse(reflectance=0.5), smooth=False)
+        return cls(
+            corners,
+            np.repeat(ids, [len(part.mesh.faces) for part in surfaces]).astype(np.uint16),
+            centre,
+            float(np.linalg.norm(high - low)) / 2,
+            mi.load_dict(geometry([whole])),
+        )
+
+    def first_hit(self, origin: Points, direction: Points) -> NDArray[np.int64]:
+        """The triangle each ray meets first, -1 for none."""
+        # Rays start beside the scene, not at a camera far away, where float32 is coarse.
+        ahead = ((self.centre - origin) * direction).sum(axis=-1, keepdims=True)
+        skip = np.maximum(ahead - 1.01 * self.radius, 0.0)
+        ray = mi.Ray3f(self._local(origin + skip * direction), _vector(direction))
+        hit = self.scene.ray_intersect_preliminary(ray, coherent=True)
+        index: NDArray[np.int64] = np.where(
+            hit.is_valid().numpy(), hit.prim_index.numpy().astype(np.int64), -1
+        )
+        return index
+
+    def meet(
+        self, triangle: NDArray[np.int64], origin: Points, direction: Points
+    ) -> tuple[Points, Points]:
+        """Where rays meet their triangles' planes, and the unit normals that face the rays' origins."""
+        a, b, c = np.moveaxis(self.corners[triangle], 1, 0)
+        normal = np.cross(b - a, c - a)
+        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+        slope = (normal * direction).sum(axis=-1, keepdims=True)
+        distance = (normal * (a - origin)).sum(axis=-1, keepdims=True) / slope
+        return origin + distance * direction, np.where(slope > 0, -normal, normal)
+
+    def lit(
+        self, point: Points, normal: Points, pixel: Points, projector: Projection
+    ) -> NDArray[np.bool_]:
+        """Whether a projector's light reaches points from the side of their normals."""
+        if projector.telecentric:
+            depth = point @ projector.axis + projector.t[2]
+            towards = -depth[:, None] * projector.axis
+        else:
+            depth = np.ones(len(point))
+            towards = projector.origin_mm - point
+        with np.errstate(invalid="ignore"):
+            inside = ((pixel >= 0) & (pixel < (projector.width, projector.height))).all(axis=-1)
+        reached: NDArray[np.bool_] = inside & (depth > 0) & ((normal * towards).sum(axis=-1) > 0)
+        distance = np.linalg.norm(towards[reached], axis=-1)
+        # What stands beyond the projector casts no shadow, and neither does what is out of the scene's sphere.
+        ray = mi.Ray3f(
+            self._local(point[reached] + LIFT * self.radius * normal[reached]),
+            _vector(towards[reached] / distance[:, None]),
+            mi.Float(np.minimum(distance, 2.1 * self.radius).astype(np.float32)),
+            0,
+            [],
+        )
+        reached[reached] = ~self.scene.ray_test(ray).numpy()
+        return reached
+
+    def _local(self, point: Points) -> Any:
+        return _vector(point - self.centre)
+
+
+def _vector(array: Points) -> Any:
+    return mi.Vector3f(np.ascontiguousarray(array.T, dtype=np.float32))
+
+
+def _direct_fraction(
+    scene: Scene, transport: Transport | None, hit: NDArray[np.bool_]
+) -> NDArray[np.float32]:
+    """(projector, row, col) share of direct light under white."""
+    if transport is None:
+        transport = trace(_white(scene), samples=SAMPLES)
+    elif not _same_light(scene, transport.scene):
+        raise RenderError(
+            "the transport was traced from another scene (its camera, projectors or objects differ): "
+            "trace this scene, or give no transport"
+        )
+    shares = []
+    for p, basis in enumerate(transport.bases):
+        total, direct = np.zeros(hit.shape), np.zeros(hit.shape)
+        for c, channel in enumerate(basis.channels):
+            # White is the constant channel; of tables (mean square 1, orthogonal), each by its mean.
+            weight = np.mean(channel.values) if channel.values else float(channel.kind == "one")
+            total += weight * transport.total[p, c]
+            direct += weight * transport.direct[p, c]
+        bright = hit & (total > 0)
+        share = np.full(hit.shape, np.nan, np.float32)
+        share[bright] = np.clip(direct[bright] / total[bright], 0.0, 1.0)
+        shares.append(share)
+    return np.stack(shares)
+
+
+def _white(scene: Scene) -> Scene:
+    """The scene with the fewest channels that include white."""
+    linear = [p.model_copy(update={"gamma": 1.0, "bits": 0}) for p in scene.projectors]
+    wide = PhaseShift(steps=3, periods_px=(1e6,))
+    return scene.model_copy(update={"projectors": tuple(linear), "patterns": wide})
+
+
+def _same_light(scene: Scene, other: Scene) -> bool:
+    keys = ("camera", "projectors", "objects", "materials")
+    return all(getattr(scene, key) == getattr(other, key) for key in keys)
