@@ -11,7 +11,6 @@ from scenes.basis import Channel
 from scenes.emission import PinholeProjector, Projector
 
 
-
 class Light:
     """A projector's light for the variant in use.
 

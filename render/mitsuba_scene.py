@@ -32,13 +32,13 @@ def mitsuba_scene(scene: Scene, frame: int = 0, projector: int = 0) -> Any:
         )
     count = len(scene.patterns.frames())
     if not 0 <= frame < count:
-        raise RenderError(f"frame {frame} does not exist: the patterns have {count}, counted from 0")
+        raise RenderError(
+            f"frame {frame} does not exist: the patterns have {count}, counted from 0"
+        )
     use()
     light = scene.projectors[projector]
     entries = geometry(parts(scene)) | {
-        "projector": projector_plugin(
-            light, basis(scene.patterns, light, light.resolution), frame
-        ),
+        "projector": projector_plugin(light, basis(scene.patterns, light, light.resolution), frame),
         "sensor": camera_plugin(scene.camera, scene.sampling.samples),
         "integrator": {
             "type": "path",
@@ -56,7 +56,9 @@ def geometry(surfaces: Sequence[Part]) -> dict[str, Any]:
     """Mitsuba's dictionary of a scene's surfaces alone; part i is the shape `part_i`."""
     entries: dict[str, Any] = {"type": "scene"}
     for index, part in enumerate(surfaces):
-        entries[f"part_{index}"] = _mesh(f"part_{index}", part.mesh, _bsdf(part.material), part.smooth)
+        entries[f"part_{index}"] = _mesh(
+            f"part_{index}", part.mesh, _bsdf(part.material), part.smooth
+        )
     return entries
 
 

@@ -32,7 +32,8 @@ class Optics:
 
     def ray(self, pixel: Any, lens_sample: Any) -> tuple[Any, Any]:
         """World origin (on the device's plane z = 0) and unit direction through a continuous pixel (x, y)."""
-        x, y = undistort(*((pixel - self.centre) / self.focal), self.distortion)
+        distorted = (pixel - self.centre) / self.focal
+        x, y = undistort(distorted.x, distorted.y, self.distortion)
         if self.telecentric:
             origin, direction = mi.Point3f(x, y, 0), mi.Vector3f(0, 0, 1)
             if self.lens is not None:

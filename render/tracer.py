@@ -5,7 +5,7 @@ channels add up in registers, so memory does not grow with the number of samples
 (a delta light: nothing else can find it) and the path goes on by sampling the BSDF.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,8 +23,11 @@ from scenes.errors import RenderError
 from scenes.meshes import parts
 from scenes.scene import Scene
 
-# Numbers a tile may return at once: 512 MB of float32.
-TILE_NUMBERS = 1 << 27
+# Numbers a tile may return at once: 64 MB of float32. Smaller tiles start more kernels, larger ones gain nothing.
+TILE_NUMBERS = 1 << 24
+
+Draw = Callable[[Any], Any]
+"""A pair of random numbers, Point2f, of the current sample, by its number of pair of dimensions."""
 
 
 def trace(
@@ -51,10 +54,7 @@ def trace(
     pass_ = _Pass(
         mi_scene,
         camera,
-        [
-            Light(p, optics(p), b.channels)
-            for p, b in zip(scene.projectors, bases, strict=True)
-        ],
+        [Light(p, optics(p), b.channels) for p, b in zip(scene.projectors, bases, strict=True)],
         scene.ambient.radiance_w_m2_sr,
         depth,
     )
@@ -66,14 +66,11 @@ def trace(
     rows = max(1, TILE_NUMBERS // (width * (2 * sum(channels) + 1)))
     for top in range(0, height, rows):
         part = slice(top, min(top + rows, height))
-        first, later, glow = pass_.radiance(part, width, samples, seed)
-        start = 0
+        images = pass_.radiance(part, width, samples, seed)
+        ambient[part] = next(images)
         for p, count in enumerate(channels):
             for c in range(count):
-                direct[p, c, part] = first[start + c]
-                total[p, c, part] = first[start + c] + later[start + c]
-            start += count
-        ambient[part] = glow
+                direct[p, c, part], total[p, c, part] = next(images), next(images)
     ids = [scene.labels.index(surface.label) + 1 for surface in surfaces]
     label = _labels(mi_scene, camera, ids, (height, width))
     return Transport(
@@ -95,7 +92,8 @@ def _labels(
     for surface in mi_scene.shapes():
         number = int(surface.id().removeprefix("part_"))
         found[hit.shape == mi.ShapePtr(surface)] = ids[number]
-    return found.numpy().reshape(shape).astype(np.uint16)
+    label: NDArray[np.uint16] = found.numpy().reshape(shape).astype(np.uint16)
+    return label
 
 
 @dataclass(frozen=True)
@@ -110,8 +108,8 @@ class _Pass:
 
     def radiance(
         self, rows: slice, width: int, samples: int, seed: int
-    ) -> tuple[list[NDArray[np.float32]], list[NDArray[np.float32]], NDArray[np.float32]]:
-        """Mean radiance of a tile: first-vertex channels, later ones (projector by projector), ambient."""
+    ) -> Iterator[NDArray[np.float32]]:
+        """Mean radiance of a tile: ambient, then direct and total of each channel, projector by projector."""
         shape = (rows.stop - rows.start, width)
         columns = dr.opaque(mi.UInt32, width)
         index = dr.arange(mi.UInt32, shape[0] * width) + dr.opaque(mi.UInt32, rows.start * width)
@@ -125,10 +123,12 @@ class _Pass:
             return [dr.zeros(mi.Float, len(index)) for _ in range(numbers)]
 
         def one_sample(n: Any, first: Any, later: Any, glow: Any) -> tuple[Any, ...]:
+            def draw(dimension: Any) -> Any:
+                return sampling.point(key, mi.UInt32(dimension), n)
+
             place = corner + sampling.pixel_point(key, n)
-            lens = self._pair(key, 1, n) if self.camera.lens is not None else None
-            ray = mi.Ray3f(*self.camera.ray(place, lens))
-            gains, bounces, sky = self._path(ray, key, n)
+            pupil = None if self.camera.lens is None else draw(1)
+            gains, bounces, sky = self._path(mi.Ray3f(*self.camera.ray(place, pupil)), draw)
             first = [a + b for a, b in zip(first, gains, strict=True)]
             later = [a + b for a, b in zip(later, bounces, strict=True)]
             return n + 1, first, later, glow + sky
@@ -139,37 +139,40 @@ class _Pass:
             one_sample,
             label="samples",
         )
-        dr.eval(first, later, glow)
-        images = [(x.numpy() / np.float32(samples)).reshape(shape) for x in (*first, *later, glow)]
-        return images[:numbers], images[numbers:-1], images[-1]
+        images = [glow]
+        for direct, indirect in zip(first, later, strict=True):
+            images += [direct, direct + indirect]
+        images = [image / count for image in images]
+        dr.eval(images)
+        return (image.numpy().reshape(shape) for image in images)
 
-    def _path(self, ray: Any, key: Any, n: Any) -> tuple[list[Any], list[Any], Any]:
+    def _path(self, ray: Any, draw: Draw) -> tuple[list[Any], list[Any], Any]:
         """One path's channels from its first vertex, from its later ones, and its ambient radiance."""
-        weight = mi.Float(1)
         si = self._intersect(ray, coherent=True, active=True)
-        sky = dr.select(si.is_valid(), 0, mi.Float(self.ambient))
         active = si.is_valid()
-        first, ray, weight = self._vertex(si, weight, key, n, mi.UInt32(0), active)
+        sky = dr.select(active, 0, mi.Float(self.ambient))
+        first, ray, weight = self._vertex(si, mi.Float(1), draw, mi.UInt32(0), active)
         later = [mi.Float(0) for _ in first]
         if self.depth == 1 and not self.ambient:
             return first, later, sky
         deepest = dr.opaque(mi.UInt32, self.depth)
 
-        def bounce(vertex: Any, active: Any, ray: Any, weight: Any, later: Any, sky: Any) -> Any:
+        def bounce(vertex: Any, active: Any, onward: Any, later: Any, sky: Any) -> tuple[Any, ...]:
+            ray, weight = onward
             si = self._intersect(ray, coherent=False, active=active)
             if self.ambient:
                 sky = dr.select(active & ~si.is_valid(), dr.fma(weight, self.ambient, sky), sky)
             active = active & si.is_valid() & (vertex < deepest)
-            gains, ray, weight = self._vertex(si, weight, key, n, vertex, active)
+            gains, ray, weight = self._vertex(si, weight, draw, vertex, active)
             later = [a + b for a, b in zip(later, gains, strict=True)]
             vertex = vertex + 1
             active &= weight > 0
             if not self.ambient:
                 active &= vertex < deepest
-            return vertex, active, ray, weight, later, sky
+            return vertex, active, (ray, weight), later, sky
 
-        _, _, _, _, later, sky = dr.while_loop(
-            (mi.UInt32(1), active & (weight > 0), ray, weight, later, sky),
+        *_, later, sky = dr.while_loop(
+            (mi.UInt32(1), active & (weight > 0), (ray, weight), later, sky),
             lambda vertex, active, *_: active,
             bounce,
             label="bounces",
@@ -177,25 +180,22 @@ class _Pass:
         return first, later, sky
 
     def _vertex(
-        self, si: Any, weight: Any, key: Any, n: Any, vertex: Any, active: Any
+        self, si: Any, weight: Any, draw: Draw, vertex: Any, active: Any
     ) -> tuple[list[Any], Any, Any]:
         """What every projector's channels add at a vertex, the ray that goes on, and the path's weight along it."""
         bsdf = si.bsdf()
         context = mi.BSDFContext()
-        # Dimension pairs of a vertex: which lobe, where to; then one per projector's pupil.
+        # Pairs of dimensions 0 and 1 are the pixel's and the camera's pupil. A vertex has two, which lobe and where to,
+        # and one for each projector's pupil.
         dimension = 2 + vertex * (2 + len(self.lights))
-        lobe = self._pair(key, dimension, n).x
-        towards = self._pair(key, dimension + 1, n)
         gains: list[Any] = []
         for p, light in enumerate(self.lights):
-            pupil = (
-                self._pair(key, dimension + 2 + p, n) if light.optics.lens is not None else None
-            )
+            pupil = None if light.optics.lens is None else draw(dimension + 2 + p)
             source, irradiance, pixel, lit = light.connect(si.p, pupil)
             wo = si.to_local(dr.normalize(source - si.p))
             if p == 0:
                 value, _, sample, onward = bsdf.eval_pdf_sample(
-                    context, si, wo, lobe, towards, active
+                    context, si, wo, draw(dimension).x, draw(dimension + 1), active
                 )
             else:
                 value = bsdf.eval(context, si, wo, active)
@@ -208,6 +208,3 @@ class _Pass:
 
     def _intersect(self, ray: Any, coherent: bool, active: Any) -> Any:
         return self.scene.ray_intersect(ray, mi.RayFlags.All, coherent, active)
-
-    def _pair(self, key: Any, dimension: Any, n: Any) -> Any:
-        return sampling.point(key, mi.UInt32(dimension), n)
