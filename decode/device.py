@@ -1,0 +1,93 @@
+"""The machine that decodes: Dr.Jit on LLVM or CUDA, and how NumPy planes reach it.
+
+Dr.Jit reads a NumPy array where it lies (LLVM) and its results are NumPy arrays without a copy. Two traps are handled
+here. It loads whole packets, so a mapped array is read past its end when its size is no multiple of the packet; and it
+has no 16-bit integers, so a uint16 plane is read as 32-bit words and split in the kernel (5 x faster than converting).
+"""
+
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes import backend
+from scenes.errors import BackendError, DecodeError
+
+# One value per pixel inside a kernel: a Dr.Jit array of whichever backend decodes.
+Lanes = Any
+
+# No packet of any backend is wider than this many values.
+PACKET = 64
+
+
+@dataclass(frozen=True)
+class Device:
+    """A Dr.Jit backend: `dr` is the package, `types` its ``drjit.llvm`` or ``drjit.cuda``."""
+
+    dr: Any
+    types: Any
+
+    @classmethod
+    def open(cls, name: Literal["llvm", "cuda"] | None = None) -> "Device":
+        """The named backend, else CUDA where there is a device, else LLVM. Raises `BackendError` if it is missing."""
+        found = backend.select()
+        chosen = name or found.name
+        import drjit as dr  # after `select`, which tells it where LLVM is
+
+        if not dr.has_backend(getattr(dr.JitBackend, chosen.upper())):
+            raise BackendError(
+                f"backend '{chosen}' is not usable on this machine: run `fringebench doctor`"
+            )
+        return cls(dr, import_module(f"drjit.{chosen}"))
+
+    def scalar(self, value: float) -> Lanes:
+        """A float64 the kernel takes as an argument: another rig does not compile another kernel."""
+        return self.dr.opaque(self.types.Float64, float(value))
+
+    def plane(self, values: NDArray[Any], pixels: Lanes | None = None) -> Lanes:
+        """One image (row, col) of uint8, uint16 or float32 as float32 lanes; `pixels` picks flat indices."""
+        flat = np.ascontiguousarray(values).reshape(-1)
+        types, dr = self.types, self.dr
+        if flat.dtype == np.uint16:
+            at = dr.arange(types.UInt32, flat.size) if pixels is None else pixels
+            word = dr.gather(types.UInt32, types.UInt32(_words(flat)), at >> 1)
+            return types.Float((word >> ((at & 1) << 4)) & 0xFFFF)
+        kind = {np.dtype(np.uint8): types.UInt8, np.dtype(np.float32): types.Float}.get(flat.dtype)
+        if kind is None:
+            raise DecodeError(
+                f"frames are {flat.dtype}: convert them to uint8, uint16 or float32 digital numbers"
+            )
+        if pixels is None:
+            return types.Float(kind(_padded(flat)))
+        return types.Float(dr.gather(kind, kind(flat), pixels))
+
+
+def _padded(flat: NDArray[Any]) -> NDArray[Any]:
+    """The same values where reading up to the next whole packet stays inside their buffer."""
+    missing = -flat.size % PACKET
+    if not missing or _room_after(flat) >= missing * flat.itemsize:
+        return flat
+    padded = np.zeros(flat.size + missing, flat.dtype)
+    padded[: flat.size] = flat
+    return padded[: flat.size]
+
+
+def _room_after(flat: NDArray[Any]) -> int:
+    """Bytes between the end of an array and the end of the array that owns its memory."""
+    owner: NDArray[Any] = flat
+    while isinstance(owner.base, np.ndarray):
+        owner = owner.base
+    if not owner.flags.c_contiguous:
+        return 0
+    return int(owner.ctypes.data + owner.nbytes - flat.ctypes.data - flat.nbytes)
+
+
+def _words(flat: NDArray[np.uint16]) -> NDArray[np.uint32]:
+    """Pairs of 16-bit values as 32-bit words (little endian), the first value in the low half."""
+    if flat.size % 2 or flat.ctypes.data % 4:
+        even = np.zeros(flat.size + flat.size % 2, np.uint16)
+        even[: flat.size] = flat
+        flat = even
+    return flat.view(np.uint32)

@@ -1,0 +1,179 @@
+"""Exposure fusion: one phase per pixel out of several exposures of the same fringes.
+
+A rule sees all samples of one fringe set of one pixel, inside the kernel, and returns one `Phasor`. Rules are found by
+name in `RULES` and among the installed distributions' entry points of group ``fringebench.fusion``, each of which
+names a `FusionRule` subclass::
+
+    [project.entry-points."fringebench.fusion"]
+    my-rule = "my_package:MyRule"
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.metadata import entry_points
+from typing import Self
+
+from decode.device import Device, Lanes
+from decode.phase import FringeSet, Phasor, phase_gain, solution, weighted_sum
+from scenes.errors import DecodeError, nearest
+from scenes.stack import Stack
+
+ENTRY_POINT_GROUP = "fringebench.fusion"
+# `Phasor.exposure` where more than one exposure made the phase.
+MERGED = 255
+
+
+@dataclass(frozen=True)
+class Samples:
+    """All samples of one fringe set of every pixel, as lanes, and what is known of the sensor."""
+
+    device: Device
+    fringes: FringeSet
+    dn: tuple[tuple[Lanes, ...], ...]
+    """Digital numbers, black level included: ``dn[exposure][step]``."""
+    exposure_ms: tuple[float, ...]
+    black_level_dn: float
+    saturation_dn: float
+    """A sample is saturated from here up; infinite when saturation is ignored."""
+    noise: tuple[tuple[float, float], ...]
+    """Per exposure (constant, slope) of the variance ``constant + slope (DN - black level)`` in DN^2."""
+
+    @property
+    def by_time(self) -> list[int]:
+        """Exposure indices, shortest first."""
+        return sorted(range(len(self.exposure_ms)), key=lambda k: self.exposure_ms[k])
+
+    @cached_property
+    def _cache(self) -> dict[int, Phasor]:
+        return {}
+
+    def phasor(self, exposure: int) -> Phasor:
+        """Least-squares phasor of one exposure; `usable` where no step is saturated."""
+        if exposure not in self._cache:
+            self._cache[exposure] = self._phasor(exposure)
+        return self._cache[exposure]
+
+    def _phasor(self, exposure: int) -> Phasor:
+        dr, types = self.device.dr, self.device.types
+        steps = self.dn[exposure]
+        mean, cosine, sine = (weighted_sum(row, steps) for row in solution(self.fringes))
+        constant, slope = self.noise[exposure]
+        variance = constant + slope * dr.maximum(mean - self.black_level_dn, 0.0)
+        modulation2 = cosine * cosine + sine * sine
+        return Phasor(
+            cosine=cosine,
+            sine=sine,
+            offset=mean,
+            variance_rad2=phase_gain(self.fringes) * variance / modulation2,
+            usable=self.unsaturated(exposure),
+            exposure=types.UInt32(exposure),
+        )
+
+    def unsaturated(self, exposure: int) -> Lanes:
+        """Where every step of one exposure is below saturation."""
+        if self.saturation_dn == float("inf"):
+            return self.device.types.Bool(True)
+        brightest = self.dn[exposure][0]
+        for step in self.dn[exposure][1:]:
+            brightest = self.device.dr.maximum(brightest, step)
+        return brightest < self.saturation_dn
+
+    def select(self, condition: Lanes, yes: Phasor, no: Phasor) -> Phasor:
+        """Per pixel one of two phasors."""
+        pick = self.device.dr.select
+        return Phasor(
+            **{
+                name: pick(condition, getattr(yes, name), getattr(no, name))
+                for name in Phasor.__dataclass_fields__
+            }
+        )
+
+
+class FusionRule(ABC):
+    """How several exposures of a pixel become one phase."""
+
+    def prepare(self, stack: Stack) -> Self:
+        """The rule for this stack: where a rule needs the whole image first, such as its histogram."""
+        return self
+
+    @abstractmethod
+    def fuse(self, samples: Samples) -> Phasor:
+        """One phasor per pixel, `usable` False where no exposure serves."""
+
+
+@dataclass(frozen=True)
+class Single(FusionRule):
+    """One fixed exposure, the baseline: index `exposure`, or the middle one by exposure time."""
+
+    exposure: int | None = None
+
+    def prepare(self, stack: Stack) -> Self:
+        """Raises `DecodeError` if the stack has no such exposure."""
+        count = len(stack.exposure_ms)
+        if self.exposure is not None and not 0 <= self.exposure < count:
+            raise DecodeError(
+                f"exposure {self.exposure} does not exist: the stack has {count} exposures, 0 to {count - 1}"
+            )
+        return self
+
+    def fuse(self, samples: Samples) -> Phasor:
+        """The chosen exposure's phasor."""
+        order = samples.by_time
+        return samples.phasor(order[len(order) // 2] if self.exposure is None else self.exposure)
+
+
+@dataclass(frozen=True)
+class MaxModulation(FusionRule):
+    """Among the exposures in which no step is saturated, the one with the largest modulation (Jiang et al. 2012)."""
+
+    def fuse(self, samples: Samples) -> Phasor:
+        """The best usable exposure's phasor; the shortest exposure's where all are saturated."""
+        shortest, *longer = samples.by_time
+        best = samples.phasor(shortest)
+        for exposure in longer:
+            other = samples.phasor(exposure)
+            better = other.usable & (~best.usable | (_power(other) > _power(best)))
+            best = samples.select(better, other, best)
+        return best
+
+
+def _power(phasor: Phasor) -> Lanes:
+    return phasor.cosine * phasor.cosine + phasor.sine * phasor.sine
+
+
+RULES: dict[str, Callable[[], FusionRule]] = {
+    "single": Single,
+    "max-modulation": MaxModulation,
+}
+
+
+def rules() -> tuple[str, ...]:
+    """Names of all fusion rules: the built-in ones, then those of other distributions."""
+    return tuple(RULES) + tuple(sorted({point.name for point in _foreign()} - RULES.keys()))
+
+
+def rule(name: str) -> FusionRule:
+    """The fusion rule of that name. Raises `DecodeError` for an unknown name or a broken entry point."""
+    if name in RULES:
+        return RULES[name]()
+    for point in _foreign():
+        if point.name == name:
+            try:
+                found = point.load()()
+            except Exception as error:  # somebody else's package may raise anything
+                raise DecodeError(
+                    f"fusion rule '{name}' ({point.value}) cannot be loaded: {error}"
+                ) from error
+            if not isinstance(found, FusionRule):
+                raise DecodeError(
+                    f"fusion rule '{name}' ({point.value}) gives a {type(found).__name__}: "
+                    "the entry point must name a subclass of decode.FusionRule"
+                )
+            return found
+    raise DecodeError(f"unknown fusion rule '{name}': {nearest(name, rules())}")
+
+
+def _foreign():  # type: ignore[no-untyped-def]
+    return entry_points(group=ENTRY_POINT_GROUP)

@@ -1,0 +1,241 @@
+"""Calibrated geometry per pixel: the camera's ray meets the projector's fringe.
+
+Everything is arithmetic on arrays, so NumPy and Dr.Jit run the same formulas, in float64. A camera ray is kept twice:
+in the world, where height is z, and in the projector's frame, where the fringe is a surface of constant coordinate.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.calibration import Calibration
+from scenes.errors import DecodeError
+from scenes.patterns import Axis
+from scenes.rig import UNDISTORT_STEPS, Projection, distort, undistort
+
+# Lanes, NumPy array or float.
+Real = Any
+Triple = tuple[Real, Real, Real]
+
+# What iterations may leave, in mm of height on the largest rigs: far below any phase noise.
+CONVERGED_MM = 1e-9
+MOST_STEPS = 12
+
+
+@dataclass(frozen=True)
+class Ray:
+    """Points ``origin + t direction`` of each pixel's ray, in the world (mm) and in the projector's frame (mm)."""
+
+    world_origin: Triple
+    world_direction: Triple
+    local_origin: Triple
+    local_direction: Triple
+
+    def t_at(self, height_mm: Real) -> Real:
+        """Ray parameter where the ray has that height."""
+        return (height_mm - self.world_origin[2]) / self.world_direction[2]
+
+    def point(self, t: Real) -> Triple:
+        """World point at a ray parameter, mm."""
+        return _along(self.world_origin, self.world_direction, t)
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A camera and one projector as numbers: floats for NumPy, or a kernel's arguments for Dr.Jit."""
+
+    camera: Projection
+    projector: Projection
+    number: Callable[[float], Real] = float
+    camera_steps: int = UNDISTORT_STEPS
+    """Newton steps that undo the camera's lens distortion."""
+    projector_steps: int = MOST_STEPS
+    """Newton steps that meet the projector's distorted fringe."""
+
+    def ray(self, column_px: Real, row_px: Real) -> Ray:
+        """Camera rays through continuous pixel coordinates (centres at + 0.5)."""
+        camera, n = self.camera, self.number
+        x = (column_px - n(camera.cx)) * n(1.0 / camera.fx)
+        y = (row_px - n(camera.cy)) * n(1.0 / camera.fy)
+        x, y = undistort(x, y, camera.distortion, self.camera_steps)
+        to_world, origin = camera.R.T, camera.origin_mm
+        to_local = self.projector.R @ to_world
+        local_origin = self.projector.R @ origin + self.projector.t
+        world, local = self._columns(to_world), self._columns(to_local)
+        at, local_at = self._numbers(origin), self._numbers(local_origin)
+        if camera.telecentric:
+            return Ray(
+                _combine(world, x, y, at), world[2], _combine(local, x, y, local_at), local[2]
+            )
+        return Ray(at, _combine(world, x, y, world[2]), local_at, _combine(local, x, y, local[2]))
+
+    def coordinate(self, ray: Ray, t: Real, axis: Axis) -> tuple[Real, Real]:
+        """Projector coordinate along `axis` at a ray parameter, px, and its derivative by t."""
+        xd, dxd = self._lens(ray, t, axis)
+        focal, centre = self._intrinsics(axis)
+        return xd * self.number(focal) + self.number(centre), dxd * self.number(focal)
+
+    def meet(self, ray: Ray, coordinate_px: Real, axis: Axis) -> tuple[Real, Real]:
+        """Ray parameter where the ray meets the fringe, and d coordinate / d t there, px.
+
+        Closed form without projector distortion (a ray meets a plane); with it, Newton's method on the ray from there.
+        """
+        focal, centre = self._intrinsics(axis)
+        target = (coordinate_px - self.number(centre)) * self.number(1.0 / focal)
+        i = 0 if axis == "column" else 1
+        q, s = ray.local_origin, ray.local_direction
+        if self.projector.telecentric:
+            t = (target - q[i]) / s[i]
+        else:
+            t = (target * q[2] - q[i]) / (s[i] - target * s[2])
+        if any(self.projector.distortion):
+            for _ in range(self.projector_steps):
+                xd, slope = self._lens(ray, t, axis)
+                t = t - (xd - target) / slope
+        return t, self._lens(ray, t, axis)[1] * self.number(focal)
+
+    def _lens(self, ray: Ray, t: Real, axis: Axis) -> tuple[Real, Real]:
+        """Distorted lens coordinate along `axis` at t, and its derivative by t."""
+        x, y, z = _along(ray.local_origin, ray.local_direction, t)
+        dx, dy, dz = ray.local_direction
+        if not self.projector.telecentric:
+            scale = 1.0 / z
+            x, y = x * scale, y * scale
+            dx, dy = (dx - x * dz) * scale, (dy - y * dz) * scale
+        coefficients = self.projector.distortion
+        if not any(coefficients):
+            return (x, dx) if axis == "column" else (y, dy)
+        xd, yd = distort(x, y, coefficients)
+        k1, k2, p1, p2, k3 = coefficients
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        growth = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * (3.0 * k3)))
+        cross = growth * x * y + 2.0 * (p1 * x + p2 * y)
+        if axis == "column":
+            return xd, (radial + growth * x * x + 2.0 * p1 * y + 6.0 * p2 * x) * dx + cross * dy
+        return yd, (radial + growth * y * y + 6.0 * p1 * y + 2.0 * p2 * x) * dy + cross * dx
+
+    def _intrinsics(self, axis: Axis) -> tuple[float, float]:
+        p = self.projector
+        return (p.fx, p.cx) if axis == "column" else (p.fy, p.cy)
+
+    def _numbers(self, vector: Any) -> Triple:
+        n = self.number
+        return n(float(vector[0])), n(float(vector[1])), n(float(vector[2]))
+
+    def _columns(self, matrix: Any) -> tuple[Triple, Triple, Triple]:
+        return self._numbers(matrix[:, 0]), self._numbers(matrix[:, 1]), self._numbers(matrix[:, 2])
+
+
+def _inside(projector: Projection, points_mm: NDArray[np.float64]) -> NDArray[np.bool_]:
+    pixels = projector.project(points_mm)[0]
+    size = (projector.width, projector.height)
+    return np.asarray(((pixels >= 0.0) & (pixels <= size)).all(axis=-1))
+
+
+def _combine(columns: tuple[Triple, Triple, Triple], x: Real, y: Real, plus: Triple) -> Triple:
+    a, b, _ = columns
+    return (
+        a[0] * x + b[0] * y + plus[0],
+        a[1] * x + b[1] * y + plus[1],
+        a[2] * x + b[2] * y + plus[2],
+    )
+
+
+def _along(origin: Triple, direction: Triple, t: Real) -> Triple:
+    return (
+        origin[0] + t * direction[0],
+        origin[1] + t * direction[1],
+        origin[2] + t * direction[2],
+    )
+
+
+@dataclass(frozen=True)
+class View:
+    """A calibrated camera and projector looked at from the host, to plan a kernel: float64 NumPy on a coarse grid."""
+
+    calibration: Calibration
+    projector: int
+
+    def __post_init__(self) -> None:
+        known = len(self.calibration.projectors)
+        if not 0 <= self.projector < known:
+            raise DecodeError(
+                f"frames name projector {self.projector}, but the calibration has {known}: "
+                "give a calibration of every projector"
+            )
+
+    @property
+    def rig(self) -> Rig:
+        """The rig in plain floats."""
+        return Rig(
+            self.calibration.camera.projection(),
+            self.calibration.projectors[self.projector].projection(),
+        )
+
+    def grid(self, size: int = 9) -> tuple[Any, Any]:
+        """Column and row coordinates of a coarse grid over the whole image, each (size, size)."""
+        camera = self.rig.camera
+        columns, rows = np.meshgrid(
+            np.linspace(0.0, camera.width, size), np.linspace(0.0, camera.height, size)
+        )
+        return columns, rows
+
+    def band_px(self, axis: Axis, heights_mm: tuple[float, float]) -> float:
+        """Largest range of projector coordinates that one pixel can see within the heights."""
+        rig = self.rig
+        ray = rig.ray(*self.grid())
+        low, high = (rig.coordinate(ray, ray.t_at(h), axis)[0] for h in heights_mm)
+        return float(np.max(np.abs(high - low)))
+
+    def sensitivity(self, axis: Axis) -> float:
+        """Median |d coordinate / d height| over the image at mid volume, px per mm."""
+        rig = self.rig
+        ray = rig.ray(*self.grid())
+        middle = sum(self.calibration.height_range_mm) / 2.0
+        slope = rig.coordinate(ray, ray.t_at(middle), axis)[1] / ray.world_direction[2]
+        return float(np.median(np.abs(slope)))
+
+    def kernel_rig(self, axis: Axis, number: Callable[[float], Real]) -> Rig:
+        """The rig for a kernel, with as many Newton steps as this lens needs and no more.
+
+        Raises `DecodeError` if they do not converge inside the working volume.
+        """
+        rig = self.rig
+        columns, rows = self.grid(17)
+        exact = rig.ray(columns, rows)
+        low, high = self.calibration.height_range_mm
+        points = [np.stack(exact.point(exact.t_at(height)), axis=-1) for height in (low, high)]
+        lit = [_inside(rig.projector, point) for point in points]
+        if not any(inside.any() for inside in lit):
+            raise DecodeError(
+                f"the fields of view of camera and projector do not overlap within height_range_mm {[low, high]}: "
+                "check the calibration's poses (x_device = R X + t, mm)"
+            )
+
+        def off(camera_steps: int, projector_steps: int) -> float:
+            tried = Rig(rig.camera, rig.projector, float, camera_steps, projector_steps)
+            ray = tried.ray(columns, rows)
+            worst = 0.0
+            for point, inside in zip(points, lit, strict=True):
+                at = rig.projector.project(point)[0][..., 0 if axis == "column" else 1]
+                found = tried.meet(ray, at, axis)[0]
+                gap = np.abs(ray.point(found)[2] - point[..., 2])[inside]
+                # a NaN is no convergence, so it must not be lost in a maximum
+                worst = max(worst, np.inf if np.isnan(gap).any() else float(gap.max(initial=0.0)))
+            return worst
+
+        with np.errstate(all="ignore"):
+            for steps in range(1, MOST_STEPS + 1):
+                camera_steps = min(steps, UNDISTORT_STEPS) if any(rig.camera.distortion) else 0
+                projector_steps = steps if any(rig.projector.distortion) else 0
+                if off(camera_steps, projector_steps) < CONVERGED_MM:
+                    return Rig(rig.camera, rig.projector, number, camera_steps, projector_steps)
+        raise DecodeError(
+            f"camera rays and projector {axis}s do not meet within height_range_mm {[low, high]}: the fringes run "
+            f"along the baseline, or lens distortion {rig.projector.distortion} folds over there; use the other fringe "
+            "direction or check the calibration"
+        )

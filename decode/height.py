@@ -1,0 +1,230 @@
+"""From projector coordinate to height: three models of one interface.
+
+- `Triangulation`: the camera ray meets the projector's fringe; any pinhole or telecentric mixture, lens distortion on
+  both sides.
+- `ReferencePlane`: ``h = d / (c + k d)`` with d the coordinate's shift against the plane z = 0 (Takeda & Mutoh 1983 in
+  its rational form); the plane comes from the calibration or from a measured stack.
+- `Linear`: ``h = (u - x) / c`` with x the camera's own coordinate; exact for a telecentric camera and projector.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decode.device import Device, Lanes
+from decode.geometry import Rig, View
+from scenes.errors import DecodeError
+from scenes.patterns import Axis
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """The camera pixels a kernel decodes, one lane each: a rectangle of the image."""
+
+    device: Device
+    box: tuple[int, int, int, int]
+    """row0, row1, col0, col1; the ends are exclusive."""
+    image: tuple[int, int]
+    """Rows and columns of the whole image."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns decoded."""
+        row0, row1, col0, col1 = self.box
+        return row1 - row0, col1 - col0
+
+    @property
+    def whole(self) -> bool:
+        """Whether the box is the whole image."""
+        return self.shape == self.image
+
+    def _row_col(self) -> tuple[Lanes, Lanes]:
+        rows, columns = self.shape
+        types = self.device.types
+        lane = self.device.dr.arange(types.UInt32, rows * columns)
+        row = lane // columns
+        return row + self.box[0], lane - row * columns + self.box[2]
+
+    def flat(self) -> Lanes | None:
+        """Flat indices into the whole image, or None for all of it in order."""
+        if self.whole:
+            return None
+        row, col = self._row_col()
+        return row * self.image[1] + col
+
+    def centres(self) -> tuple[Lanes, Lanes]:
+        """Continuous column and row coordinates of the pixel centres, float64."""
+        row, col = self._row_col()
+        float64 = self.device.types.Float64
+        return float64(col) + 0.5, float64(row) + 0.5
+
+    def image_lanes(self, values: NDArray[np.float64]) -> Lanes:
+        """A float64 image (row, col) of the whole camera, at these pixels."""
+        row0, row1, col0, col1 = self.box
+        return self.device.types.Float64(
+            np.ascontiguousarray(values[row0:row1, col0:col1], dtype=np.float64).reshape(-1)
+        )
+
+
+class Solver(ABC):
+    """A height model bound to pixels: all lanes, float64."""
+
+    @abstractmethod
+    def height(self, coordinate_px: Lanes) -> tuple[Lanes, Lanes]:
+        """Height in mm, and d height / d coordinate in mm per px."""
+
+    @abstractmethod
+    def coordinate(self, height_mm: float) -> Lanes:
+        """Projector coordinate that a surface at this height would show, px."""
+
+
+class HeightModel(ABC):
+    """A way from projector coordinate to height."""
+
+    @abstractmethod
+    def bind(self, pixels: Pixels) -> Solver:
+        """The model at these pixels."""
+
+    @abstractmethod
+    def band_px(self, heights_mm: tuple[float, float]) -> float:
+        """Largest range of projector coordinates one pixel can show between two heights, px."""
+
+
+@dataclass(frozen=True)
+class Triangulation(HeightModel):
+    """The camera's ray meets the projector's fringe: exact for any calibrated rig."""
+
+    view: View
+    axis: Axis
+
+    def bind(self, pixels: Pixels) -> Solver:
+        rig = self.view.kernel_rig(self.axis, pixels.device.scalar)
+        return _Triangulated(rig, self.axis, *pixels.centres())
+
+    def band_px(self, heights_mm: tuple[float, float]) -> float:
+        return self.view.band_px(self.axis, heights_mm)
+
+
+class _Triangulated(Solver):
+    def __init__(self, rig: Rig, axis: Axis, column_px: Lanes, row_px: Lanes) -> None:
+        self.rig, self.axis = rig, axis
+        self.ray = rig.ray(column_px, row_px)
+
+    def height(self, coordinate_px: Lanes) -> tuple[Lanes, Lanes]:
+        t, slope = self.rig.meet(self.ray, coordinate_px, self.axis)
+        direction = self.ray.world_direction[2]
+        return self.ray.world_origin[2] + t * direction, direction / slope
+
+    def coordinate(self, height_mm: float) -> Lanes:
+        at = self.ray.t_at(self.rig.number(height_mm))
+        return self.rig.coordinate(self.ray, at, self.axis)[0]
+
+    def rational(self) -> tuple[Lanes, Lanes]:
+        """(c, k) of ``h = d / (c + k d)`` about z = 0: exact while the projector does not distort."""
+        t = self.ray.t_at(0.0)
+        c = self.rig.coordinate(self.ray, t, self.axis)[1] / self.ray.world_direction[2]
+        if self.rig.projector.telecentric:
+            return c, 0.0
+        depth = self.ray.local_origin[2] + t * self.ray.local_direction[2]
+        # u(h) - u(0) = c h / (1 + m h) with m the relative growth of depth per mm of height
+        return c, -self.ray.local_direction[2] / (self.ray.world_direction[2] * depth)
+
+
+@dataclass(frozen=True)
+class Linear(HeightModel):
+    """``h = (u - x) / c``, x the camera's continuous column (or row), c in projector px per mm."""
+
+    c_px_per_mm: float
+    axis: Axis
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.c_px_per_mm) and self.c_px_per_mm != 0.0):
+            raise DecodeError(
+                f"c_px_per_mm is {self.c_px_per_mm}: give the fringe shift per mm of height, not 0"
+            )
+
+    def bind(self, pixels: Pixels) -> Solver:
+        column, row = pixels.centres()
+        c = pixels.device.scalar(self.c_px_per_mm)
+        return _Rational(column if self.axis == "column" else row, c, 0.0)
+
+    def band_px(self, heights_mm: tuple[float, float]) -> float:
+        return abs(self.c_px_per_mm) * (heights_mm[1] - heights_mm[0])
+
+
+@dataclass(frozen=True)
+class LinearisedRig(HeightModel):
+    """The linear model a calibration gives: x is the coordinate of the plane z = 0, c that of the image's centre."""
+
+    view: View
+    axis: Axis
+
+    @property
+    def c_px_per_mm(self) -> float:
+        """Fringe shift per mm of height at the image's centre and z = 0."""
+        rig = self.view.rig
+        ray = rig.ray(rig.camera.width / 2.0, rig.camera.height / 2.0)
+        slope = rig.coordinate(ray, ray.t_at(0.0), self.axis)[1] / ray.world_direction[2]
+        return float(slope)
+
+    def bind(self, pixels: Pixels) -> Solver:
+        exact = _Triangulated(
+            self.view.kernel_rig(self.axis, pixels.device.scalar), self.axis, *pixels.centres()
+        )
+        return _Rational(exact.coordinate(0.0), pixels.device.scalar(self.c_px_per_mm), 0.0)
+
+    def band_px(self, heights_mm: tuple[float, float]) -> float:
+        return abs(self.c_px_per_mm) * (heights_mm[1] - heights_mm[0])
+
+
+@dataclass(frozen=True)
+class ReferencePlane(HeightModel):
+    """``h = d / (c + k d)``, d the shift against the plane z = 0.
+
+    With a `view`, c and k vary over the image as the calibration says; else c is `c_px_per_mm` everywhere and k is 0.
+    `reference_px` (row, col) is the plane's measured coordinate, NaN where unknown; None: the calibration's.
+    """
+
+    axis: Axis
+    view: View | None
+    reference_px: NDArray[np.float64] | None
+    c_px_per_mm: float | None = None
+
+    def bind(self, pixels: Pixels) -> Solver:
+        plane = None if self.reference_px is None else pixels.image_lanes(self.reference_px)
+        if self.view is not None:
+            exact = _Triangulated(
+                self.view.kernel_rig(self.axis, pixels.device.scalar), self.axis, *pixels.centres()
+            )
+            return _Rational(exact.coordinate(0.0) if plane is None else plane, *exact.rational())
+        return _Rational(plane, pixels.device.scalar(self._c()), 0.0)
+
+    def band_px(self, heights_mm: tuple[float, float]) -> float:
+        if self.view is not None:
+            return self.view.band_px(self.axis, heights_mm)
+        return abs(self._c()) * (heights_mm[1] - heights_mm[0])
+
+    def _c(self) -> float:
+        if self.reference_px is None or not self.c_px_per_mm:
+            raise DecodeError(
+                "reference-plane heights need a calibration, or a reference stack together with c_px_per_mm "
+                "(fringe shift per mm of height, not 0)"
+            )
+        return self.c_px_per_mm
+
+
+class _Rational(Solver):
+    """``h = d / (c + k d)`` with ``d = u - plane``."""
+
+    def __init__(self, plane_px: Lanes, c: Lanes, k: Lanes) -> None:
+        self.plane_px, self.c, self.k = plane_px, c, k
+
+    def height(self, coordinate_px: Lanes) -> tuple[Lanes, Lanes]:
+        shift = coordinate_px - self.plane_px
+        scale = 1.0 / (self.c + self.k * shift)
+        return shift * scale, self.c * scale * scale
+
+    def coordinate(self, height_mm: float) -> Lanes:
+        return self.plane_px + self.c * height_mm / (1.0 - self.k * height_mm)

@@ -1,0 +1,138 @@
+"""How a stack is decoded: every choice, validated."""
+
+from dataclasses import dataclass, fields
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decode.fusion import FusionRule, Single
+from decode.fusion import rule as rule_named
+from decode.reconstruction import Reconstruction
+from scenes.errors import DecodeError, nearest
+from scenes.patterns import Axis
+from scenes.stack import Stack
+
+Unwrap = Literal["temporal", "row-scan", "quality-guided"]
+Anchor = Literal["volume", "field", "spatial"]
+Height = Literal["triangulation", "reference-plane", "linear", "phase"]
+Roi = tuple[int, int, int, int] | NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Options:
+    """Choices of `reconstruct`; None leaves a choice to what the stack offers."""
+
+    fusion: str | FusionRule = "max-modulation"
+    """Name of a fusion rule (see `decode.rules`), or a rule."""
+    exposure: int | None = None
+    """With ``fusion="single"``: the exposure's index. None: the middle one by time."""
+    saturation: Literal["reject", "ignore"] = "reject"
+    """ignore: clipped samples count as good, so that saturation biases silently, as with a modulation mask alone."""
+    unwrap: Unwrap | None = None
+    """None: temporal where it is possible, else quality-guided."""
+    anchor: Anchor | None = None
+    """What fixes the coarsest period's order in temporal unwrapping. volume: the height range, through the height model
+    (one period suffices if no two heights look alike); field: the period spans the projector's image; spatial: a row
+    scan of the coarsest phase, as the textbook's. None: the first of these that is unambiguous."""
+    height: Height | None = None
+    """phase: none, coordinates only. None: triangulation with a calibration, else linear with `c_px_per_mm`."""
+    c_px_per_mm: float | None = None
+    """Fringe shift per mm of height for an uncalibrated linear or reference-plane model."""
+    reference: Stack | Reconstruction | None = None
+    """Measured plane z = 0 for the reference-plane model, under the same patterns."""
+    height_range_mm: tuple[float, float] | None = None
+    """Working volume; None: the calibration's."""
+    axis: Axis | None = None
+    """Fringe direction that measures height. None: the more sensitive one, column when uncalibrated."""
+    projector: int | None = None
+    """None: all, and per pixel the valid one with the smallest predicted sigma."""
+    roi: Roi | None = None
+    """(row0, row1, col0, col1), ends exclusive, or a boolean mask (row, col)."""
+    min_modulation_dn: float | None = None
+    """Modulation below which a pixel is dark. None: eight standard deviations of its noise (1/8 rad)."""
+    max_order_residual: float = 0.25
+    """How far from a whole number, in periods, a predicted order may be; 0.5 accepts all."""
+    backend: Literal["llvm", "cuda"] | None = None
+    """None: CUDA where there is a device."""
+
+    def __post_init__(self) -> None:
+        for name, allowed in CHOICES.items():
+            value = getattr(self, name)
+            if value not in allowed:
+                known = [a for a in allowed if a is not None]
+                raise DecodeError(f"{name} is {value!r}: {nearest(str(value), known)}")
+        if self.exposure is not None and self.fusion != "single":
+            raise DecodeError(
+                f"exposure {self.exposure} is given, but fusion is {self.fusion!r}: use fusion='single'"
+            )
+        if not 0.0 < self.max_order_residual <= 0.5:
+            raise DecodeError(
+                f"max_order_residual is {self.max_order_residual}: use more than 0, at most 0.5 periods"
+            )
+        if self.min_modulation_dn is not None and not self.min_modulation_dn >= 0.0:
+            raise DecodeError(f"min_modulation_dn is {self.min_modulation_dn}: use 0 or more")
+        if self.height_range_mm is not None and not (
+            len(self.height_range_mm) == 2 and self.height_range_mm[0] < self.height_range_mm[1]
+        ):
+            raise DecodeError(
+                f"height_range_mm is {self.height_range_mm}: give the lowest and the highest height, in that order"
+            )
+        if self.reference is not None and self.height != "reference-plane":
+            raise DecodeError("a reference is given: use height='reference-plane' with it")
+
+    @classmethod
+    def of(cls, choices: dict[str, Any]) -> "Options":
+        """Options from keywords. Raises `DecodeError` for one that does not exist."""
+        known = [f.name for f in fields(cls)]
+        for name in choices:
+            if name not in known:
+                raise DecodeError(f"unknown option '{name}': {nearest(name, known)}")
+        return cls(**choices)
+
+    def rule(self) -> FusionRule:
+        """The fusion rule, before it has seen the stack."""
+        if self.fusion == "single":
+            return Single(self.exposure)
+        return rule_named(self.fusion) if isinstance(self.fusion, str) else self.fusion
+
+    def box(self, image: tuple[int, int]) -> tuple[int, int, int, int]:
+        """Smallest rectangle around the region of interest, row0, row1, col0, col1.
+
+        Raises `DecodeError` if the region is empty or not inside the image (rows, columns).
+        """
+        rows, columns = image
+        if self.roi is None:
+            return 0, rows, 0, columns
+        if isinstance(self.roi, np.ndarray):
+            if self.roi.shape != image or self.roi.dtype != np.bool_:
+                raise DecodeError(
+                    f"the roi mask is {self.roi.dtype} of shape {self.roi.shape}: give booleans of shape {image}"
+                )
+            if not self.roi.any():
+                raise DecodeError("the roi mask is empty: set at least one pixel")
+            there = [np.flatnonzero(self.roi.any(axis=k)) for k in (1, 0)]
+            (row0, row1), (col0, col1) = ((int(at[0]), int(at[-1]) + 1) for at in there)
+            return row0, row1, col0, col1
+        try:
+            row0, row1, col0, col1 = (int(edge) for edge in self.roi)
+        except (TypeError, ValueError) as error:
+            raise DecodeError(
+                f"roi is {self.roi!r}: give (row0, row1, col0, col1) or a boolean mask"
+            ) from error
+        if not (0 <= row0 < row1 <= rows and 0 <= col0 < col1 <= columns):
+            raise DecodeError(
+                f"roi (row0, row1, col0, col1) = {row0, row1, col0, col1} is empty or leaves the image: "
+                f"rows are 0 to {rows}, columns 0 to {columns}, ends exclusive"
+            )
+        return row0, row1, col0, col1
+
+
+CHOICES: dict[str, tuple[str | None, ...]] = {
+    "saturation": ("reject", "ignore"),
+    "unwrap": (None, *get_args(Unwrap)),
+    "anchor": (None, *get_args(Anchor)),
+    "height": (None, *get_args(Height)),
+    "axis": (None, "column", "row"),
+    "backend": (None, "llvm", "cuda"),
+}

@@ -1,0 +1,222 @@
+"""What decoding gives: heights with their uncertainty, and why each rejected pixel is rejected."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import ValidationError
+
+from decode.validity import Reason
+from scenes import exr
+from scenes.calibration import Calibration
+from scenes.errors import DecodeError, FileError
+from scenes.patterns import Axis
+
+KIND = "reconstruction"
+Image = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class AxisPhase:
+    """Absolute phase of the finest fringes along one projector axis, as order and wrapped phase.
+
+    Kept apart because float32 cannot hold their sum: it loses 1e-5 rad above some 16 fringes.
+    """
+
+    period_px: float
+    wrapped_rad: Image
+    """Phase in [-pi, pi), (row, col)."""
+    order: NDArray[np.int32]
+    """Fringe order, (row, col)."""
+
+    @property
+    def phase_rad(self) -> NDArray[np.float64]:
+        """Absolute phase ``2 pi order + wrapped``, (row, col)."""
+        return 2.0 * np.pi * self.order + self.wrapped_rad.astype(np.float64)
+
+    @property
+    def coordinate_px(self) -> NDArray[np.float64]:
+        """Projector coordinate, continuous with pixel centres at + 0.5, (row, col)."""
+        return self.phase_rad * (self.period_px / (2.0 * np.pi))
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction:
+    """Heights and what is known of each pixel; every array is (row, col).
+
+    Numbers stand wherever they could be computed, also where `valid` is False: a rejected pixel keeps its height.
+    Outside the region of interest, and where there is no number, floats are NaN.
+    """
+
+    height_mm: Image
+    """World z."""
+    sigma_mm: Image
+    """Predicted standard deviation of the height from sensor noise and rounding."""
+    modulation_dn: Image
+    """Fringe amplitude B of the finest set, of the exposure used."""
+    offset_dn: Image
+    """Offset A, black level included, of the exposure used."""
+    reason: NDArray[np.uint8]
+    """`Reason` code; 0 is valid."""
+    exposure: NDArray[np.uint8]
+    """Index of the exposure used; 255 where several were merged or none was."""
+    axis: Axis = "column"
+    """Projector axis that measured the height."""
+    phases: Mapping[Axis, AxisPhase] = field(default_factory=dict)
+    """Absolute phase by projector axis."""
+    calibration: Calibration | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """How it was decoded, in JSON's types."""
+
+    @classmethod
+    def of_heights(
+        cls,
+        height_mm: ArrayLike,
+        valid: ArrayLike | None = None,
+        calibration: Calibration | None = None,
+    ) -> Self:
+        """Somebody else's heights in mm (row, col), NaN where there is none, so that they can be scored and written.
+
+        Raises `DecodeError` if they are no image or no pixel is valid.
+        """
+        height = np.asarray(height_mm, dtype=np.float32)
+        if height.ndim != 2 or height.size == 0:
+            raise DecodeError(f"heights have shape {height.shape}: expected (row, col)")
+        good = np.isfinite(height)
+        if valid is not None:
+            if np.shape(valid) != height.shape:
+                raise DecodeError(
+                    f"valid has shape {np.shape(valid)}: expected the heights' {height.shape}"
+                )
+            good &= np.asarray(valid, dtype=bool)
+        if not good.any():
+            raise DecodeError("no height is finite and valid: there is nothing to score")
+        unknown = np.full_like(height, np.nan)
+        reason = np.where(good, Reason.OK, Reason.NO_HEIGHT).astype(np.uint8)
+        nobody = np.full(height.shape, 255, np.uint8)
+        return cls(height, unknown, unknown, unknown, reason, nobody, calibration=calibration)
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """Where the height is to be trusted."""
+        return self.reason == Reason.OK
+
+    @property
+    def wrapped_rad(self) -> Image:
+        """Wrapped phase of the measuring axis, in [-pi, pi)."""
+        return self._measured.wrapped_rad
+
+    @property
+    def fringe_order(self) -> NDArray[np.int32]:
+        """Fringe order of the measuring axis."""
+        return self._measured.order
+
+    @property
+    def phase_rad(self) -> NDArray[np.float64]:
+        """Absolute phase of the measuring axis."""
+        return self._measured.phase_rad
+
+    @property
+    def column_px(self) -> NDArray[np.float64] | None:
+        """Projector column that lights each pixel; None if the columns were not decoded."""
+        return self.phases["column"].coordinate_px if "column" in self.phases else None
+
+    @property
+    def row_px(self) -> NDArray[np.float64] | None:
+        """Projector row that lights each pixel; None if the rows were not decoded."""
+        return self.phases["row"].coordinate_px if "row" in self.phases else None
+
+    @property
+    def _measured(self) -> AxisPhase:
+        if self.axis not in self.phases:
+            raise DecodeError("this reconstruction holds heights only, no phase")
+        return self.phases[self.axis]
+
+    @cached_property
+    def xyz_mm(self) -> NDArray[np.float32]:
+        """World points (row, col, 3): on each camera ray, the point of that height. Raises `DecodeError` uncalibrated."""
+        if self.calibration is None:
+            raise DecodeError("points need a calibration: this reconstruction has heights only")
+        camera = self.calibration.camera.projection()
+        if (camera.height, camera.width) != self.height_mm.shape:
+            raise DecodeError(
+                f"the calibration's camera is {camera.width} x {camera.height} pixels, the heights are "
+                f"{self.height_mm.shape[1]} x {self.height_mm.shape[0]}: set calibrated_at and resolution to match"
+            )
+        origin, direction = camera.rays(camera.pixel_centres())
+        t = (self.height_mm - origin[..., 2]) / direction[..., 2]
+        return np.asarray(origin + t[..., None] * direction, dtype=np.float32)
+
+    def reason_fractions(self) -> dict[str, float]:
+        """Fraction of the pixels asked for under each reason that occurs; ``ok`` always stands.
+
+        >>> Reconstruction.of_heights([[0.0, float("nan")]]).reason_fractions()
+        {'ok': 0.5, 'no-height': 0.5}
+        """
+        asked = self.reason[self.reason != Reason.OUTSIDE_ROI]
+        counts = np.bincount(asked, minlength=len(Reason))
+        return {
+            reason.label: float(counts[reason] / asked.size)
+            for reason in Reason
+            if counts[reason] or reason is Reason.OK
+        }
+
+    def write(self, path: str | Path) -> None:
+        """Write as EXR: one channel a field, ``<axis>.wrapped_rad`` and ``<axis>.order`` for each axis."""
+        channels: dict[str, NDArray[Any]] = {
+            "height_mm": self.height_mm,
+            "sigma_mm": self.sigma_mm,
+            "modulation_dn": self.modulation_dn,
+            "offset_dn": self.offset_dn,
+            # whole numbers below 2048 are exact in half
+            "reason": self.reason.astype(np.float16),
+            "exposure": self.exposure.astype(np.float16),
+        }
+        for axis, phase in self.phases.items():
+            channels[f"{axis}.wrapped_rad"] = phase.wrapped_rad
+            channels[f"{axis}.order"] = phase.order.astype(np.float32)
+        meta = {
+            "axis": self.axis,
+            "period_px": {axis: phase.period_px for axis, phase in self.phases.items()},
+            "reasons": {reason.label: int(reason) for reason in Reason},
+            "calibration": self.calibration and self.calibration.model_dump(mode="json"),
+            "settings": dict(self.settings),
+        }
+        exr.write(path, KIND, channels, meta)
+
+    @classmethod
+    def read(cls, path: str | Path) -> Self:
+        """Read a reconstruction; raises `FileError` on anything but a whole reconstruction file of this version."""
+        channels, meta = exr.read(path, KIND)
+        try:
+            phases: dict[Axis, AxisPhase] = {
+                axis: AxisPhase(
+                    float(period),
+                    channels[f"{axis}.wrapped_rad"],
+                    channels[f"{axis}.order"].astype(np.int32),
+                )
+                for axis, period in meta["period_px"].items()
+            }
+            calibration = meta["calibration"]
+            return cls(
+                *(
+                    channels[name]
+                    for name in ("height_mm", "sigma_mm", "modulation_dn", "offset_dn")
+                ),
+                reason=channels["reason"].astype(np.uint8),
+                exposure=channels["exposure"].astype(np.uint8),
+                axis=meta["axis"],
+                phases=phases,
+                calibration=None
+                if calibration is None
+                else Calibration.model_validate(calibration),
+                settings=meta["settings"],
+            )
+        except (KeyError, TypeError, ValueError, AttributeError, ValidationError) as error:
+            raise FileError(
+                f"'{path}': its reconstruction header or channels are damaged: {error}"
+            ) from error

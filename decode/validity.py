@@ -1,0 +1,86 @@
+"""Why a pixel is not to be trusted: one reason each, the first that applies in the order of `Reason`."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+from decode.device import Device, Lanes
+from decode.phase import Phasor
+
+# Where there is no fringe at all, noise makes a modulation above three of its own standard deviations in exp(-4.5) =
+# 1 % of pixels (Rayleigh): below, the pixel tells nothing from "no projector light".
+NO_FRINGE_RAD2 = 1.0 / 3.0**2
+# Eight standard deviations: a phase noise of 1/8 rad, at which order and height still mean something.
+DIM_RAD2 = 1.0 / 8.0**2
+
+
+class Reason(IntEnum):
+    """Codes of `Reconstruction.reason`."""
+
+    OK = 0
+    OUTSIDE_ROI = 1
+    """Not asked for."""
+    SATURATED = 2
+    """The fusion rule found no usable exposure."""
+    SHADOW = 3
+    """No fringe above the noise: no projector light arrives, or none comes back."""
+    DARK = 4
+    """A fringe, but of too little modulation."""
+    ORDER_MISMATCH = 5
+    """The periods disagree about the fringe order."""
+    NO_HEIGHT = 6
+    """The height model has no answer here: an invalid reference pixel, a ray that misses."""
+    OUT_OF_VOLUME = 7
+    """Height outside the working volume."""
+
+    @property
+    def label(self) -> str:
+        """The name as text: order-mismatch."""
+        return self.name.lower().replace("_", "-")
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Thresholds of validity."""
+
+    min_modulation_dn: float | None
+    """None: eight standard deviations of the modulation's own noise."""
+    max_order_residual: float
+    heights_mm: tuple[float, float] | None
+
+
+def reasons(
+    device: Device,
+    limits: Limits,
+    finest: Phasor,
+    modulation_dn: Lanes,
+    usable: Lanes,
+    residuals: list[Lanes],
+    height_mm: Lanes | None,
+) -> Lanes:
+    """Reason codes as uint8 lanes. Comparisons are written so that NaN rejects."""
+    pick, code = device.dr.select, device.types.UInt32
+    reason = code(Reason.OK)
+    if height_mm is not None:
+        if limits.heights_mm is not None:
+            low, high = limits.heights_mm
+            inside = (height_mm >= low) & (height_mm <= high)
+            reason = pick(inside, reason, code(Reason.OUT_OF_VOLUME))
+        reason = pick(device.dr.isfinite(height_mm), reason, code(Reason.NO_HEIGHT))
+    for residual in residuals:
+        agree = residual <= limits.max_order_residual
+        reason = pick(agree, reason, code(Reason.ORDER_MISMATCH))
+    reason = pick(bright(limits, finest, modulation_dn), reason, _dim(device, finest))
+    return device.types.UInt8(pick(usable, reason, code(Reason.SATURATED)))
+
+
+def bright(limits: Limits, finest: Phasor, modulation_dn: Lanes) -> Lanes:
+    """Where there is modulation enough."""
+    if limits.min_modulation_dn is None:
+        return finest.variance_rad2 <= DIM_RAD2
+    return modulation_dn >= limits.min_modulation_dn
+
+
+def _dim(device: Device, finest: Phasor) -> Lanes:
+    code = device.types.UInt32
+    fringe = finest.variance_rad2 < NO_FRINGE_RAD2
+    return device.dr.select(fringe, code(Reason.DARK), code(Reason.SHADOW))
