@@ -42,10 +42,6 @@ class Device:
             )
         return cls(dr, import_module(f"drjit.{chosen}"))
 
-    def scalar(self, value: float) -> Lanes:
-        """A float64 the kernel takes as an argument: another rig does not compile another kernel."""
-        return self.dr.opaque(self.types.Float64, float(value))
-
     def plane(self, values: NDArray[Any], pixels: Lanes | None = None) -> Lanes:
         """One image (row, col) of uint8, uint16 or float32 as float32 lanes; `pixels` picks flat indices."""
         flat = np.ascontiguousarray(values).reshape(-1)
@@ -60,11 +56,11 @@ class Device:
                 f"frames are {flat.dtype}: convert them to uint8, uint16 or float32 digital numbers"
             )
         if pixels is None:
-            return types.Float(kind(_padded(flat)))
+            return types.Float(kind(padded(flat)))
         return types.Float(dr.gather(kind, kind(flat), pixels))
 
 
-def _padded(flat: NDArray[Any]) -> NDArray[Any]:
+def padded(flat: NDArray[Any]) -> NDArray[Any]:
     """The same values where reading up to the next whole packet stays inside their buffer."""
     missing = -flat.size % PACKET
     if not missing or _room_after(flat) >= missing * flat.itemsize:

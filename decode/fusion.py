@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoints, entry_points
 from typing import Self
 
 from decode.device import Device, Lanes
@@ -175,5 +175,5 @@ def rule(name: str) -> FusionRule:
     raise DecodeError(f"unknown fusion rule '{name}': {nearest(name, rules())}")
 
 
-def _foreign():  # type: ignore[no-untyped-def]
+def _foreign() -> EntryPoints:
     return entry_points(group=ENTRY_POINT_GROUP)

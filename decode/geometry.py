@@ -6,6 +6,7 @@ in the world, where height is z, and in the projector's frame, where the fringe 
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -168,7 +169,7 @@ class View:
                 "give a calibration of every projector"
             )
 
-    @property
+    @cached_property
     def rig(self) -> Rig:
         """The rig in plain floats."""
         return Rig(
@@ -185,11 +186,17 @@ class View:
         return columns, rows
 
     def band_px(self, axis: Axis, heights_mm: tuple[float, float]) -> float:
-        """Largest range of projector coordinates that one pixel can see within the heights."""
+        """Range of projector coordinates that one pixel can show within the heights, the widest of all pixels.
+
+        Twice the larger side about the coordinate of the middle height.
+        """
         rig = self.rig
         ray = rig.ray(*self.grid())
-        low, high = (rig.coordinate(ray, ray.t_at(h), axis)[0] for h in heights_mm)
-        return float(np.max(np.abs(high - low)))
+        low, high = heights_mm
+        below, middle, above = (
+            rig.coordinate(ray, ray.t_at(h), axis)[0] for h in (low, (low + high) / 2.0, high)
+        )
+        return 2.0 * float(np.max(np.maximum(np.abs(below - middle), np.abs(above - middle))))
 
     def sensitivity(self, axis: Axis) -> float:
         """Median |d coordinate / d height| over the image at mid volume, px per mm."""

@@ -8,12 +8,13 @@
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from decode.device import Device, Lanes
+from decode.device import Device, Lanes, padded
 from decode.geometry import Rig, View
 from scenes.errors import DecodeError
 from scenes.patterns import Axis
@@ -28,6 +29,8 @@ class Pixels:
     """row0, row1, col0, col1; the ends are exclusive."""
     image: tuple[int, int]
     """Rows and columns of the whole image."""
+    real: Any
+    """Type of geometry's lanes: float64 to measure, float32 to choose."""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -39,6 +42,14 @@ class Pixels:
     def whole(self) -> bool:
         """Whether the box is the whole image."""
         return self.shape == self.image
+
+    def coarse(self) -> "Pixels":
+        """The same pixels in float32: enough to choose a fringe order, and cheaper."""
+        return replace(self, real=self.device.types.Float)
+
+    def number(self, value: float) -> Lanes:
+        """A number the kernel takes as an argument: another rig does not compile another kernel."""
+        return self.device.dr.opaque(self.real, float(value))
 
     def _row_col(self) -> tuple[Lanes, Lanes]:
         rows, columns = self.shape
@@ -55,17 +66,15 @@ class Pixels:
         return row * self.image[1] + col
 
     def centres(self) -> tuple[Lanes, Lanes]:
-        """Continuous column and row coordinates of the pixel centres, float64."""
+        """Continuous column and row coordinates of the pixel centres."""
         row, col = self._row_col()
-        float64 = self.device.types.Float64
-        return float64(col) + 0.5, float64(row) + 0.5
+        return self.real(col) + 0.5, self.real(row) + 0.5
 
     def image_lanes(self, values: NDArray[np.float64]) -> Lanes:
         """A float64 image (row, col) of the whole camera, at these pixels."""
         row0, row1, col0, col1 = self.box
-        return self.device.types.Float64(
-            np.ascontiguousarray(values[row0:row1, col0:col1], dtype=np.float64).reshape(-1)
-        )
+        part = np.ascontiguousarray(values[row0:row1, col0:col1], dtype=np.float64)
+        return self.real(self.device.types.Float64(padded(part.reshape(-1))))
 
 
 class Solver(ABC):
@@ -77,7 +86,7 @@ class Solver(ABC):
 
     @abstractmethod
     def coordinate(self, height_mm: float) -> Lanes:
-        """Projector coordinate that a surface at this height would show, px."""
+        """Projector coordinate that a surface at this height shows, px."""
 
 
 class HeightModel(ABC):
@@ -89,7 +98,7 @@ class HeightModel(ABC):
 
     @abstractmethod
     def band_px(self, heights_mm: tuple[float, float]) -> float:
-        """Largest range of projector coordinates one pixel can show between two heights, px."""
+        """Range of projector coordinates one pixel can show between two heights, px (see `View.band_px`)."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +109,7 @@ class Triangulation(HeightModel):
     axis: Axis
 
     def bind(self, pixels: Pixels) -> Solver:
-        rig = self.view.kernel_rig(self.axis, pixels.device.scalar)
+        rig = self.view.kernel_rig(self.axis, pixels.number)
         return _Triangulated(rig, self.axis, *pixels.centres())
 
     def band_px(self, heights_mm: tuple[float, float]) -> float:
@@ -147,7 +156,7 @@ class Linear(HeightModel):
 
     def bind(self, pixels: Pixels) -> Solver:
         column, row = pixels.centres()
-        c = pixels.device.scalar(self.c_px_per_mm)
+        c = pixels.number(self.c_px_per_mm)
         return _Rational(column if self.axis == "column" else row, c, 0.0)
 
     def band_px(self, heights_mm: tuple[float, float]) -> float:
@@ -171,9 +180,9 @@ class LinearisedRig(HeightModel):
 
     def bind(self, pixels: Pixels) -> Solver:
         exact = _Triangulated(
-            self.view.kernel_rig(self.axis, pixels.device.scalar), self.axis, *pixels.centres()
+            self.view.kernel_rig(self.axis, pixels.number), self.axis, *pixels.centres()
         )
-        return _Rational(exact.coordinate(0.0), pixels.device.scalar(self.c_px_per_mm), 0.0)
+        return _Rational(exact.coordinate(0.0), pixels.number(self.c_px_per_mm), 0.0)
 
     def band_px(self, heights_mm: tuple[float, float]) -> float:
         return abs(self.c_px_per_mm) * (heights_mm[1] - heights_mm[0])
@@ -196,10 +205,10 @@ class ReferencePlane(HeightModel):
         plane = None if self.reference_px is None else pixels.image_lanes(self.reference_px)
         if self.view is not None:
             exact = _Triangulated(
-                self.view.kernel_rig(self.axis, pixels.device.scalar), self.axis, *pixels.centres()
+                self.view.kernel_rig(self.axis, pixels.number), self.axis, *pixels.centres()
             )
             return _Rational(exact.coordinate(0.0) if plane is None else plane, *exact.rational())
-        return _Rational(plane, pixels.device.scalar(self._c()), 0.0)
+        return _Rational(plane, pixels.number(self._c()), 0.0)
 
     def band_px(self, heights_mm: tuple[float, float]) -> float:
         if self.view is not None:

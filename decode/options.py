@@ -96,6 +96,13 @@ class Options:
             return Single(self.exposure)
         return rule_named(self.fusion) if isinstance(self.fusion, str) else self.fusion
 
+    def summary(self) -> dict[str, Any]:
+        """The choices that shape the numbers, in JSON's types."""
+        named = ("saturation", "anchor", "height", "c_px_per_mm", "projector", "exposure")
+        limits = ("height_range_mm", "min_modulation_dn", "max_order_residual")
+        rule = self.fusion if isinstance(self.fusion, str) else repr(self.fusion)
+        return {"fusion": rule} | {name: getattr(self, name) for name in named + limits}
+
     def box(self, image: tuple[int, int]) -> tuple[int, int, int, int]:
         """Smallest rectangle around the region of interest, row0, row1, col0, col1.
 

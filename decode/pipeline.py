@@ -9,26 +9,18 @@ from numpy.typing import NDArray
 
 from decode import fusion, unwrap, validity
 from decode.device import Device, Lanes
-from decode.geometry import View
-from decode.height import (
-    HeightModel,
-    Linear,
-    LinearisedRig,
-    Pixels,
-    ReferencePlane,
-    Solver,
-    Triangulation,
-)
+from decode.height import Pixels, Solver
 from decode.options import Options
-from decode.phase import FringeSet, Phasor, fringe_sets, wrapped
+from decode.phase import FringeSet, Phasor, wrapped
+from decode.plan import Plan
 from decode.reconstruction import AxisPhase, Reconstruction
 from decode.validity import Limits, Reason
 from scenes.errors import DecodeError
 from scenes.patterns import Axis
 from scenes.stack import Stack
 
-# Heights this fraction of the working volume outside it are still accepted: noise on its faces.
-VOLUME_MARGIN = 0.05
+# What stands outside the region of interest; NaN or 0 in the other images.
+OUTSIDE = {"reason": int(Reason.OUTSIDE_ROI), "exposure": fusion.MERGED}
 
 
 def reconstruct(stack: Stack, **choices: Any) -> Reconstruction:
@@ -41,7 +33,7 @@ def reconstruct(stack: Stack, **choices: Any) -> Reconstruction:
     True
     """
     options = Options.of(choices)
-    _check(stack)
+    _check_size(stack)
     projectors = sorted({frame.projector for frame in stack.patterns})
     if options.projector is not None:
         projectors = [options.projector]
@@ -49,12 +41,17 @@ def reconstruct(stack: Stack, **choices: Any) -> Reconstruction:
         raise DecodeError(
             f"phases of projectors {projectors} cannot be compared: choose one with projector="
         )
+    device = Device.open(options.backend)
     rule = options.rule().prepare(stack)
-    found = [_Projector(stack, options, index, rule).decode() for index in projectors]
-    best = found[0]
-    for other in found[1:]:
-        best = _better(best, other)
-    if not best.valid.any():
+    best: Reconstruction | None = None
+    for projector in projectors:
+        plan = Plan(stack, options, projector)
+        if options.height == "reference-plane":
+            plan = replace(plan, reference_px=_reference_px(plan))
+        found = _Kernel(plan, device, rule).decode()
+        best = found if best is None else _better(best, found)
+    assert best is not None  # a stack has at least one frame, so one projector
+    if best.reason.min() != Reason.OK:
         shares = ", ".join(
             f"{name} {share:.1%}" for name, share in best.reason_fractions().items() if name != "ok"
         )
@@ -65,7 +62,7 @@ def reconstruct(stack: Stack, **choices: Any) -> Reconstruction:
     return best
 
 
-def _check(stack: Stack) -> None:
+def _check_size(stack: Stack) -> None:
     if stack.calibration is not None:
         camera = stack.calibration.camera.projection()
         if (camera.width, camera.height) != stack.resolution:
@@ -73,6 +70,25 @@ def _check(stack: Stack) -> None:
                 f"the calibration's camera is {camera.width} x {camera.height} pixels, the frames are "
                 f"{stack.resolution[0]} x {stack.resolution[1]}: set calibrated_at and resolution to match"
             )
+
+
+def _reference_px(plan: Plan) -> NDArray[np.float64] | None:
+    """Coordinate (row, col) of the measured reference plane, NaN where it is invalid; None without one."""
+    plane, options, shape = plan.options.reference, plan.options, plan.stack.frames.shape[2:]
+    if plane is None:
+        return None
+    if isinstance(plane, Stack):
+        kept = ("fusion", "exposure", "saturation", "unwrap", "min_modulation_dn", "backend")
+        choices = {name: getattr(options, name) for name in kept}
+        plane = reconstruct(
+            plane, **choices, height="phase", axis=plan.axis, projector=plan.projector
+        )
+    if plan.axis not in plane.phases or plane.reason.shape != shape:
+        raise DecodeError(
+            f"the reference has phases of {list(plane.phases)} and shape {plane.reason.shape}; "
+            f"needed: {plan.axis}, {shape}"
+        )
+    return np.where(plane.valid, plane.phases[plan.axis].coordinate_px, np.nan)
 
 
 def _better(one: Reconstruction, two: Reconstruction) -> Reconstruction:
@@ -104,212 +120,80 @@ class _Decoded:
     usable: Lanes
 
 
-class _Projector:
-    """Decoding of one projector's frames: the plan on the host, then the kernel."""
+class _Kernel:
+    """Traces and runs what a plan says."""
 
-    def __init__(
-        self, stack: Stack, options: Options, projector: int, rule: fusion.FusionRule
-    ) -> None:
-        self.stack, self.options, self.rule = stack, options, rule
-        self.projector = projector
-        self.sets = fringe_sets(stack.patterns, projector)
-        self.view = None if stack.calibration is None else View(stack.calibration, projector)
-        self.heights_mm = options.height_range_mm or (
-            stack.calibration.height_range_mm if stack.calibration else None
+    def __init__(self, plan: Plan, device: Device, rule: fusion.FusionRule) -> None:
+        self.plan, self.device, self.rule = plan, device, rule
+        rows, columns = plan.stack.frames.shape[2:]
+        self.image = (rows, columns)
+        self.limits = Limits(
+            plan.options.min_modulation_dn, plan.options.max_order_residual, plan.volume_mm
         )
-        self.axis = self._axis()
-        self.model = self._model()
-        image = stack.frames.shape[2:]
-        self.image: tuple[int, int] = (image[0], image[1])
-        self.ways = {axis: self._way(axis) for axis in self.sets}
-        # a spatial scan must see the whole image, or the region's orders would depend on the region
-        spatial = any(
-            way in ("spatial", "row-scan", "quality-guided") for way in self.ways.values()
-        )
-        box = options.box(self.image)
+        self.box = plan.options.box(self.image)
+        # a scan must see the whole image, or the region's orders would depend on the region
+        whole = (0, rows, 0, columns)
         self.pixels = Pixels(
-            Device.open(options.backend),
-            (0, self.image[0], 0, self.image[1]) if spatial else box,
-            self.image,
+            device, whole if plan.scans else self.box, self.image, device.types.Float64
         )
-
-    # The plan
-
-    def _axis(self) -> Axis:
-        wanted = self.options.axis
-        if wanted is not None:
-            if wanted not in self.sets:
-                raise DecodeError(f"the stack has no {wanted} fringes: it has {list(self.sets)}")
-            return wanted
-        if self.view is not None:
-            return max(self.sets, key=self.view.sensitivity)
-        return "column" if "column" in self.sets else "row"
-
-    def _model(self) -> HeightModel | None:
-        options, axis = self.options, self.axis
-        kind = options.height
-        if kind is None:
-            if self.view is None and options.c_px_per_mm is None:
-                raise DecodeError(
-                    "the stack has no calibration: give it one, or c_px_per_mm for linear heights, or "
-                    "height='phase' for phases alone"
-                )
-            kind = "linear" if options.c_px_per_mm is not None else "triangulation"
-        if kind == "phase":
-            return None
-        if kind == "reference-plane":
-            return ReferencePlane(axis, self.view, self._reference(), options.c_px_per_mm)
-        if kind == "linear" and options.c_px_per_mm is not None:
-            return Linear(options.c_px_per_mm, axis)
-        if self.view is None:
-            raise DecodeError(
-                f"{kind} needs a calibration: give the stack one"
-                + (", or c_px_per_mm" if kind == "linear" else "")
-            )
-        return (
-            LinearisedRig(self.view, axis) if kind == "linear" else Triangulation(self.view, axis)
-        )
-
-    def _reference(self) -> NDArray[np.float64] | None:
-        plane = self.options.reference
-        if isinstance(plane, Stack):
-            choices = {
-                name: getattr(self.options, name)
-                for name in (
-                    "fusion",
-                    "exposure",
-                    "saturation",
-                    "unwrap",
-                    "min_modulation_dn",
-                    "backend",
-                )
-            }
-            plane = reconstruct(
-                plane, **choices, height="phase", axis=self.axis, projector=self.projector
-            )
-        if plane is None:
-            return None
-        if self.axis not in plane.phases or plane.reason.shape != self.stack.frames.shape[2:]:
-            raise DecodeError(
-                f"the reference has phases of {list(plane.phases)} and shape {plane.reason.shape}; needed: "
-                f"{self.axis}, {self.stack.frames.shape[2:]}"
-            )
-        return np.where(plane.valid, plane.phases[self.axis].coordinate_px, np.nan)
-
-    def _locator(self, axis: Axis) -> HeightModel | None:
-        """What tells the coordinates to expect on an axis, for heights known."""
-        if self.heights_mm is None:
-            return None
-        if self.view is not None and not (axis == self.axis and self.model is not None):
-            return Triangulation(self.view, axis)
-        return self.model if axis == self.axis else None
-
-    def _way(self, axis: Axis) -> str:
-        """How this axis is unwrapped: volume, field or spatial (temporal ones), row-scan or quality-guided."""
-        wanted, coarsest = self.options.unwrap, self.sets[axis][0].period_px
-        if wanted in ("row-scan", "quality-guided"):
-            return str(wanted)
-        locator = self._locator(axis)
-        possible = {
-            "volume": locator is not None and locator.band_px(self._volume()) < coarsest,
-            "field": self.view is not None and coarsest >= self._field_px(axis),
-            "spatial": True,
-        }
-        if self.options.anchor is not None:
-            if not possible[self.options.anchor]:
-                raise DecodeError(self._why_not(self.options.anchor, axis, locator, coarsest))
-            return self.options.anchor
-        way = next(name for name, there in possible.items() if there)
-        if way == "spatial" and len(self.sets[axis]) == 1:
-            if wanted == "temporal":
-                raise DecodeError(
-                    f"temporal unwrapping of one {axis} period ({coarsest:g} px) needs a height range that shifts the "
-                    "fringe by less than a period, or a period as wide as the projector: add a coarser period, or use "
-                    "unwrap='quality-guided'"
-                )
-            return "quality-guided"
-        return way
-
-    def _why_not(
-        self, anchor: str, axis: Axis, locator: HeightModel | None, coarsest: float
-    ) -> str:
-        if anchor == "volume" and locator is None:
-            return "anchor 'volume' needs height_range_mm and a calibration or c_px_per_mm"
-        if anchor == "volume" and locator is not None:
-            return (
-                f"anchor 'volume' is ambiguous: heights {self._volume()} mm shift the {axis} fringe by "
-                f"{locator.band_px(self._volume()):.1f} px, more than the coarsest period of {coarsest:g} px"
-            )
-        return (
-            f"anchor 'field' needs a calibration, and a {axis} period as wide as the projector; the coarsest is "
-            f"{coarsest:g} px"
-        )
-
-    def _volume(self) -> tuple[float, float]:
-        low, high = self.heights_mm or (-np.inf, np.inf)
-        margin = VOLUME_MARGIN * (high - low)
-        return low - margin, high + margin
-
-    def _field_px(self, axis: Axis) -> float:
-        if self.view is None:
-            return float("inf")
-        projector = self.view.rig.projector
-        return float(projector.width if axis == "column" else projector.height)
-
-    # The kernel
 
     def decode(self) -> Reconstruction:
-        """Trace the kernel, run it, and lay its images into the whole frame."""
-        device = self.pixels.device
-        axes = {axis: self._decode_axis(axis) for axis in self.sets}
-        measured = axes[self.axis]
+        """Trace the kernel, run it, and hand out its images."""
+        plan, types = self.plan, self.device.types
+        axes = {axis: self._axis(axis) for axis in plan.sets}
+        measured = axes[plan.axis]
         finest = measured.phasor
-        modulation = device.dr.sqrt(finest.cosine**2 + finest.sine**2)
-        height = sigma = None
-        if self.model is not None:
-            height, sigma = self._height(self.model.bind(self.pixels), measured)
-        limits = replace(self._limits, heights_mm=self.heights_mm and self._volume())
+        modulation = self._modulation(finest)
+        height = sigma = types.Float(float("nan"))
+        if plan.model is not None:
+            height, sigma = self._height(plan.model.bind(self.pixels), measured)
+        reason = validity.reasons(
+            self.device,
+            self.limits,
+            finest,
+            modulation,
+            measured.usable,
+            measured.residuals,
+            None if plan.model is None else height,
+        )
         lanes: dict[str, Lanes] = {
+            "height_mm": height,
+            "sigma_mm": sigma,
             "modulation_dn": modulation,
             "offset_dn": finest.offset,
-            "reason": validity.reasons(
-                device, limits, finest, modulation, measured.usable, measured.residuals, height
-            ),
-            "exposure": device.types.UInt8(finest.exposure),
+            "reason": reason,
+            "exposure": types.UInt8(finest.exposure),
         }
-        if height is not None:
-            lanes |= {"height_mm": device.types.Float(height), "sigma_mm": sigma}
         for axis, decoded in axes.items():
             lanes[f"{axis}.wrapped"] = decoded.wrapped_rad
             lanes[f"{axis}.order"] = decoded.order
-        device.dr.eval(list(lanes.values()))
-        images = {name: self._image(name, values) for name, values in lanes.items()}
-        return self._result(images)
+        images = self._images(lanes)
+        phases = {
+            axis: AxisPhase(
+                decoded.finest.period_px, images.pop(f"{axis}.wrapped"), images.pop(f"{axis}.order")
+            )
+            for axis, decoded in axes.items()
+        }
+        return Reconstruction(
+            axis=plan.axis,
+            phases=phases,
+            calibration=plan.stack.calibration,
+            settings=plan.options.summary() | {"unwrap": plan.ways[plan.axis]},
+            **images,
+        )
 
-    def _height(self, solver: Solver, measured: _Decoded) -> tuple[Lanes, Lanes]:
-        dr, types = self.pixels.device.dr, self.pixels.device.types
-        period = measured.finest.period_px
-        at = unwrap.coordinate(self.pixels.device, measured.wrapped_rad, measured.order, period)
-        height, slope = solver.height(at)
-        px = dr.sqrt(measured.phasor.variance_rad2) * (period / unwrap.TURN)
-        return height, px * dr.abs(types.Float(slope))
-
-    @property
-    def _limits(self) -> Limits:
-        options = self.options
-        return Limits(options.min_modulation_dn, options.max_order_residual, None)
-
-    def _decode_axis(self, axis: Axis) -> _Decoded:
-        device, sets = self.pixels.device, self.sets[axis]
-        way = self.ways[axis]
+    def _axis(self, axis: Axis) -> _Decoded:
+        device, sets = self.device, self.plan.sets[axis]
+        way = self.plan.ways[axis]
         if way in ("row-scan", "quality-guided"):
             sets = sets[-1:]
         phasors = [self.rule.fuse(self._samples(fringes)) for fringes in sets]
         phases = [wrapped(device, phasor) for phasor in phasors]
         if way in ("volume", "field"):
-            order = unwrap.anchored(device, phases[0], sets[0].period_px, self._expected(axis, way))
+            expected = self._expected(axis, way == "field")
+            order = unwrap.anchored(device, phases[0], sets[0].period_px, expected)
         else:
-            order = self._spatial(axis, sets[0], phasors[0], phases[0])
+            order = self._scanned(axis, sets[0], phasors[0], phases[0])
         residuals = []
         for k in range(1, len(sets)):
             ratio = sets[k - 1].period_px / sets[k].period_px
@@ -321,14 +205,13 @@ class _Projector:
         return _Decoded(sets[-1], phasors[-1], phases[-1], order, residuals, usable)
 
     def _samples(self, fringes: FringeSet) -> fusion.Samples:
-        stack, pixels = self.stack, self.pixels
-        at = pixels.flat()
-        reject = self.options.saturation == "reject"
+        stack, at = self.plan.stack, self.pixels.flat()
+        reject = self.plan.options.saturation == "reject"
         return fusion.Samples(
-            device=pixels.device,
+            device=self.device,
             fringes=fringes,
             dn=tuple(
-                tuple(pixels.device.plane(exposure[k], at) for k in fringes.frames)
+                tuple(self.device.plane(exposure[k], at) for k in fringes.frames)
                 for exposure in stack.frames
             ),
             exposure_ms=stack.exposure_ms,
@@ -337,35 +220,40 @@ class _Projector:
             noise=tuple(stack.sensor.noise_model(ms) for ms in stack.exposure_ms),
         )
 
-    def _expected(self, axis: Axis, way: str) -> Lanes:
-        """Coordinate in the middle of what each pixel can show."""
-        if way == "field":
-            return self.pixels.device.types.Float64(self._field_px(axis) / 2.0)
-        locator = self._locator(axis)
-        assert locator is not None  # `_way` chose volume because there is one
-        solver = locator.bind(self.pixels)
-        low, high = self._volume()
-        return (solver.coordinate(low) + solver.coordinate(high)) * 0.5
+    def _modulation(self, phasor: Phasor) -> Lanes:
+        return self.device.dr.sqrt(phasor.cosine * phasor.cosine + phasor.sine * phasor.sine)
 
-    def _spatial(self, axis: Axis, fringes: FringeSet, phasor: Phasor, phase: Lanes) -> Lanes:
+    def _height(self, solver: Solver, measured: _Decoded) -> tuple[Lanes, Lanes]:
+        """Height and its predicted standard deviation, float32."""
+        dr, real = self.device.dr, self.device.types.Float
+        period = measured.finest.period_px
+        at = unwrap.coordinate(self.device, measured.wrapped_rad, measured.order, period)
+        height, slope = solver.height(at)
+        sigma_px = dr.sqrt(measured.phasor.variance_rad2) * (period / unwrap.TURN)
+        return real(height), sigma_px * dr.abs(real(slope))
+
+    def _expected(self, axis: Axis, field: bool) -> Lanes:
+        """Coordinate in the middle of what each pixel can show, float32."""
+        real = self.device.types.Float
+        if field:
+            return real(self.plan.field_px(axis) / 2.0)
+        locator, volume = self.plan.locator(axis), self.plan.volume_mm
+        assert locator is not None and volume is not None  # the plan saw that they are there
+        return real(locator.bind(self.pixels.coarse()).coordinate(sum(volume) / 2.0))
+
+    def _scanned(self, axis: Axis, fringes: FringeSet, phasor: Phasor, phase: Lanes) -> Lanes:
         """Orders from a scan of the whole image, on the host."""
-        device, types = self.pixels.device, self.pixels.device.types
-        modulation = device.dr.sqrt(phasor.cosine**2 + phasor.sine**2)
-        good = types.UInt8(
-            device.dr.select(
-                validity.bright(self._limits, phasor, modulation) & phasor.usable,
-                types.UInt32(1),
-                types.UInt32(0),
-            )
-        )
-        device.dr.eval(phase, good)
+        dr, types = self.device.dr, self.device.types
+        bright = validity.bright(self.limits, phasor, self._modulation(phasor)) & phasor.usable
+        good = types.UInt8(dr.select(bright, types.UInt32(1), types.UInt32(0)))
+        dr.eval(phase, good)
         image, mask = self._host(phase), self._host(good) > 0
-        guided = self.ways[axis] == "quality-guided"
+        guided = self.plan.ways[axis] == "quality-guided"
         scan: Callable[..., unwrap.Orders] = unwrap.quality_guided if guided else unwrap.row_scan
         orders = scan(image, mask)
-        if self._locator(axis) is not None:
-            turns = types.Float64(self._expected(axis, "volume") * (1.0 / fringes.period_px))
-            orders = unwrap.level(orders, image, mask, self._host(turns), whole=not guided)
+        if self.plan.locator(axis) is not None:
+            expected = self._expected(axis, field=False) * (1.0 / fringes.period_px)
+            orders = unwrap.level(orders, image, mask, self._host(expected), whole=not guided)
         return types.Int32(orders.reshape(-1))
 
     def _host(self, values: Lanes) -> NDArray[Any]:
@@ -374,53 +262,36 @@ class _Projector:
         shape = self.pixels.shape
         return np.full(shape, flat[0]) if flat.size == 1 else flat.reshape(shape)
 
-    def _image(self, name: str, values: Lanes) -> NDArray[Any]:
-        """Lanes as an image of the whole frame; outside the region of interest NaN, 0 or `OUTSIDE_ROI`."""
-        part = self._host(values)
-        roi = self.options.roi
-        if roi is None:
-            return part
-        fill = {"reason": int(Reason.OUTSIDE_ROI), "exposure": fusion.MERGED}.get(
-            name, np.nan if part.dtype == np.float32 else 0
-        )
-        row0, row1, col0, col1 = self.pixels.box
-        whole = np.full(self.image, fill, part.dtype)
-        whole[row0:row1, col0:col1] = part
-        inside = np.zeros(self.image, np.bool_)
-        if isinstance(roi, np.ndarray):
-            inside = roi
-        else:
-            row0, row1, col0, col1 = self.options.box(self.image)
-            inside[row0:row1, col0:col1] = True
-        whole[~inside] = fill
-        return whole
+    def _images(self, lanes: dict[str, Lanes]) -> dict[str, NDArray[Any]]:
+        """Lanes as images of the whole frame; outside the region of interest NaN, 0 or the code that says so.
 
-    def _result(self, images: dict[str, NDArray[Any]]) -> Reconstruction:
-        nothing = np.full(self.image, np.nan, np.float32) if self.model is None else None
-        options = self.options
-        return Reconstruction(
-            height_mm=images.get("height_mm", nothing),
-            sigma_mm=images.get("sigma_mm", nothing),
-            modulation_dn=images["modulation_dn"],
-            offset_dn=images["offset_dn"],
-            reason=images["reason"],
-            exposure=images["exposure"],
-            axis=self.axis,
-            phases={
-                axis: AxisPhase(
-                    sets[-1].period_px, images[f"{axis}.wrapped"], images[f"{axis}.order"]
-                )
-                for axis, sets in self.sets.items()
-            },
-            calibration=self.stack.calibration,
-            settings={
-                "fusion": options.fusion
-                if isinstance(options.fusion, str)
-                else type(options.fusion).__name__,
-                "saturation": options.saturation,
-                "unwrap": self.ways[self.axis],
-                "height": "phase" if self.model is None else type(self.model).__name__,
-                "min_modulation_dn": options.min_modulation_dn,
-                "max_order_residual": options.max_order_residual,
-            },
-        )
+        The frame is laid out by Dr.Jit, whose pool hands the same memory out again: fresh pages from the system would
+        cost more time than decoding.
+        """
+        dr, roi = self.device.dr, self.plan.options.roi
+        if roi is None:
+            dr.eval(list(lanes.values()))
+            return {name: self._host(values) for name, values in lanes.items()}
+        inside = self._inside(roi)
+        whole = {}
+        for name, values in lanes.items():
+            kind = type(values)
+            fill = OUTSIDE.get(name, float("nan") if dr.is_float_v(kind) else 0)
+            if self.pixels.whole:
+                whole[name] = dr.select(inside, values, kind(fill))
+            else:
+                whole[name] = dr.full(kind, fill, self.image[0] * self.image[1])
+                dr.scatter(whole[name], values, self.pixels.flat(), inside)
+        dr.eval(list(whole.values()))
+        return {name: values.numpy().reshape(self.image) for name, values in whole.items()}
+
+    def _inside(self, roi: Any) -> Lanes:
+        """Which of the decoded pixels are in the region of interest."""
+        if isinstance(roi, np.ndarray):
+            row0, row1, col0, col1 = self.pixels.box
+            return self.device.plane(roi[row0:row1, col0:col1].astype(np.uint8)) > 0.5
+        if not self.pixels.whole:
+            return self.device.types.Bool(True)
+        row0, row1, col0, col1 = self.box
+        column, row = self.pixels.coarse().centres()
+        return (row > row0) & (row < row1) & (column > col0) & (column < col1)

@@ -36,7 +36,7 @@ class AxisPhase:
     @property
     def phase_rad(self) -> NDArray[np.float64]:
         """Absolute phase ``2 pi order + wrapped``, (row, col)."""
-        return 2.0 * np.pi * self.order + self.wrapped_rad.astype(np.float64)
+        return np.asarray(2.0 * np.pi * self.order + self.wrapped_rad, dtype=np.float64)
 
     @property
     def coordinate_px(self) -> NDArray[np.float64]:
@@ -103,7 +103,7 @@ class Reconstruction:
     @property
     def valid(self) -> NDArray[np.bool_]:
         """Where the height is to be trusted."""
-        return self.reason == Reason.OK
+        return np.asarray(self.reason == Reason.OK)
 
     @property
     def wrapped_rad(self) -> Image:
@@ -203,10 +203,10 @@ class Reconstruction:
             }
             calibration = meta["calibration"]
             return cls(
-                *(
-                    channels[name]
-                    for name in ("height_mm", "sigma_mm", "modulation_dn", "offset_dn")
-                ),
+                height_mm=channels["height_mm"],
+                sigma_mm=channels["sigma_mm"],
+                modulation_dn=channels["modulation_dn"],
+                offset_dn=channels["offset_dn"],
                 reason=channels["reason"].astype(np.uint8),
                 exposure=channels["exposure"].astype(np.uint8),
                 axis=meta["axis"],

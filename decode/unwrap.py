@@ -18,7 +18,7 @@ Orders = NDArray[np.int32]
 
 def anchored(device: Device, wrapped_rad: Lanes, period_px: float, expected_px: Lanes) -> Lanes:
     """Order that brings the coordinate within half a period of the expected one (An, Hyun & Zhang 2016)."""
-    turns = expected_px * (1.0 / period_px) - device.types.Float64(wrapped_rad) * (1.0 / TURN)
+    turns = expected_px * (1.0 / period_px) - wrapped_rad * (1.0 / TURN)
     return device.types.Int32(device.dr.round(turns))
 
 

@@ -1,0 +1,158 @@
+"""What to do with one projector's frames, decided on the host before any pixel is touched."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from decode.geometry import View
+from decode.height import HeightModel, Linear, LinearisedRig, ReferencePlane, Triangulation
+from decode.options import Options
+from decode.phase import FringeSet, fringe_sets
+from scenes.errors import DecodeError
+from scenes.patterns import Axis
+from scenes.stack import Stack
+
+# Heights this fraction of the working volume outside it are still accepted: noise on its faces.
+VOLUME_MARGIN = 0.05
+
+Way = Literal["volume", "field", "spatial", "row-scan", "quality-guided"]
+"""How an axis is unwrapped: the first three anchor temporal unwrapping."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Which axis measures height and how, and how each axis is unwrapped."""
+
+    stack: Stack
+    options: Options
+    projector: int
+    reference_px: NDArray[np.float64] | None = None
+    """Measured coordinate of the reference plane (row, col)."""
+
+    @cached_property
+    def sets(self) -> dict[Axis, tuple[FringeSet, ...]]:
+        """Fringe sets by axis, coarsest first."""
+        return fringe_sets(self.stack.patterns, self.projector)
+
+    @cached_property
+    def view(self) -> View | None:
+        """The calibrated rig, if there is one."""
+        calibration = self.stack.calibration
+        return None if calibration is None else View(calibration, self.projector)
+
+    @cached_property
+    def volume_mm(self) -> tuple[float, float] | None:
+        """Heights that are accepted: the working volume and its margin; None if unknown."""
+        heights = self.options.height_range_mm
+        if heights is None and self.stack.calibration is not None:
+            heights = self.stack.calibration.height_range_mm
+        if heights is None:
+            return None
+        margin = VOLUME_MARGIN * (heights[1] - heights[0])
+        return heights[0] - margin, heights[1] + margin
+
+    @cached_property
+    def axis(self) -> Axis:
+        """The axis that measures height."""
+        wanted = self.options.axis
+        if wanted is not None:
+            if wanted not in self.sets:
+                raise DecodeError(f"the stack has no {wanted} fringes: it has {list(self.sets)}")
+            return wanted
+        if self.view is not None:
+            return max(self.sets, key=self.view.sensitivity)
+        return "column" if "column" in self.sets else "row"
+
+    @cached_property
+    def model(self) -> HeightModel | None:
+        """The way to height; None for phases alone."""
+        options, axis, view = self.options, self.axis, self.view
+        kind = options.height
+        if kind is None:
+            kind = "linear" if options.c_px_per_mm is not None else "triangulation"
+            if kind == "triangulation" and view is None:
+                raise DecodeError(
+                    "the stack has no calibration: give it one, or c_px_per_mm for linear heights, or "
+                    "height='phase' for phases alone"
+                )
+        if kind == "phase":
+            return None
+        if kind == "reference-plane":
+            return ReferencePlane(axis, view, self.reference_px, options.c_px_per_mm)
+        if kind == "linear" and options.c_px_per_mm is not None:
+            return Linear(options.c_px_per_mm, axis)
+        if view is None:
+            other = ", or c_px_per_mm" if kind == "linear" else ""
+            raise DecodeError(f"{kind} needs a calibration: give the stack one{other}")
+        return LinearisedRig(view, axis) if kind == "linear" else Triangulation(view, axis)
+
+    def locator(self, axis: Axis) -> HeightModel | None:
+        """What tells the coordinates to expect on an axis, if the heights to expect are known."""
+        if self.volume_mm is None:
+            return None
+        if axis == self.axis and self.model is not None:
+            return self.model
+        return None if self.view is None else Triangulation(self.view, axis)
+
+    @cached_property
+    def ways(self) -> dict[Axis, Way]:
+        """How each axis is unwrapped. Raises `DecodeError` if it cannot be as asked."""
+        return {axis: self._way(axis) for axis in self.sets}
+
+    @property
+    def scans(self) -> bool:
+        """Whether an axis is scanned over the image, which must then be decoded whole."""
+        return any(way not in ("volume", "field") for way in self.ways.values())
+
+    def field_px(self, axis: Axis) -> float:
+        """Size of the projector's image along an axis; infinite if unknown."""
+        if self.view is None:
+            return float("inf")
+        projector = self.view.rig.projector
+        return float(projector.width if axis == "column" else projector.height)
+
+    def _way(self, axis: Axis) -> Way:
+        wanted, anchor = self.options.unwrap, self.options.anchor
+        if wanted in ("row-scan", "quality-guided"):
+            return wanted
+        why_not = {"volume": self._no_volume(axis), "field": self._no_field(axis), "spatial": ""}
+        if anchor is not None:
+            if why_not[anchor]:
+                raise DecodeError(f"anchor '{anchor}': {why_not[anchor]}")
+            return anchor
+        if not why_not["volume"]:
+            return "volume"
+        if not why_not["field"]:
+            return "field"
+        if len(self.sets[axis]) > 1:
+            return "spatial"
+        if wanted == "temporal":
+            raise DecodeError(
+                f"temporal unwrapping of a single {axis} period: {why_not['volume']}; and {why_not['field']}. "
+                "Add a coarser period, or use unwrap='quality-guided'"
+            )
+        return "quality-guided"
+
+    def _no_volume(self, axis: Axis) -> str:
+        """Why heights do not fix the coarsest order; empty if they do."""
+        locator, coarsest = self.locator(axis), self.sets[axis][0].period_px
+        if locator is None or self.volume_mm is None:
+            return "the heights to expect are unknown (height_range_mm, with a calibration or c_px_per_mm)"
+        band = locator.band_px(self.volume_mm)
+        if band < coarsest:
+            return ""
+        low, high = self.volume_mm
+        return (
+            f"heights from {low:g} to {high:g} mm shift the {axis} fringe by {band:.1f} px, "
+            f"more than its coarsest period of {coarsest:g} px"
+        )
+
+    def _no_field(self, axis: Axis) -> str:
+        """Why the coarsest period alone is ambiguous; empty if it is not."""
+        field, coarsest = self.field_px(axis), self.sets[axis][0].period_px
+        if coarsest >= field:
+            return ""
+        return f"its coarsest period of {coarsest:g} px is less than the projector's {field:g} px"
