@@ -4,12 +4,14 @@ Layout shared by all of the project's files: scanlines, one channel per image, t
 ``fringebench`` a JSON object with at least ``format`` and ``version``. See docs/files.md.
 """
 
+import io
 import json
 import os
 import sys
 import tempfile
+import threading
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,9 @@ VERSION = 1
 ATTRIBUTE = "fringebench"
 # Whole numbers up to here are exact in a half float (11 bits of significand).
 HALF_EXACT = 2048
+
+# Two threads that redirect the process's stderr at once would leave it redirected.
+_ALONE = threading.Lock()
 
 Channels = Mapping[str, NDArray[Any]]
 
@@ -48,9 +53,7 @@ def write(
         **(standard or {}),
     }
     planes = {name: np.ascontiguousarray(plane) for name, plane in channels.items()}
-    # The module starts without worker threads and would compress on one core.
-    OpenEXR.set_global_thread_count(os.cpu_count() or 1)
-    with replacing(path) as beside, _quiet() as said:
+    with replacing(path) as beside, _library() as said:
         try:
             OpenEXR.File(header, planes).write(str(beside))
         except (RuntimeError, ValueError, TypeError) as error:
@@ -97,8 +100,7 @@ def kind_of(path: str | Path) -> str:
 def _load(
     source: Path, header_only: bool = False
 ) -> tuple[dict[str, NDArray[Any]], dict[str, Any] | None]:
-    OpenEXR.set_global_thread_count(os.cpu_count() or 1)
-    with _quiet() as said:
+    with _library() as said:
         try:
             file = OpenEXR.File(str(source), separate_channels=True, header_only=header_only)
             header = file.header()
@@ -129,17 +131,30 @@ def counts(frames: NDArray[Any]) -> NDArray[Any]:
 
 
 @contextmanager
-def _quiet() -> Iterator[Any]:
-    """Catch what the OpenEXR library prints on the process's stderr, so that the error is said once and by us."""
-    sys.stderr.flush()
-    with tempfile.TemporaryFile() as said:
+def _library() -> Iterator[Any]:
+    """The OpenEXR library for one thread of ours, with worker threads of its own and its prints caught.
+
+    It prints errors on the process's stderr and warnings on `sys.stdout`, where they would spoil an answer in JSON; a
+    failure is said once, by us. What is printed while nothing fails (by other threads, say) is passed on. Workers end
+    with the block: in a forked child they would be missing, and its first read or write would wait for them forever.
+    """
+    with _ALONE, tempfile.TemporaryFile() as said:
+        if sys.stderr:
+            sys.stderr.flush()
         saved = os.dup(2)
         os.dup2(said.fileno(), 2)
+        OpenEXR.set_global_thread_count(os.cpu_count() or 1)
+        printed = io.StringIO()
         try:
-            yield said
+            with redirect_stdout(printed):
+                yield said
         finally:
+            OpenEXR.set_global_thread_count(0)
             os.dup2(saved, 2)
             os.close(saved)
+        said.seek(0)
+        os.write(2, said.read())
+        print(printed.getvalue(), end="")
 
 
 def _first_line(said: Any, error: Exception) -> str:
