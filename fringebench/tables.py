@@ -17,12 +17,12 @@ def score_table(score: evaluation.Score, title: str) -> Table:
     table.add_column("region")
     for name in (
         "pixels",
-        "covered %",
+        "valid %",
         "bias µm",
         "RMS µm",
-        "predicted µm",
+        "pred. µm",
         "p95 µm",
-        "outliers %",
+        "outl. %",
     ):
         table.add_column(name, justify="right")
     for label, region in score.regions.items():
