@@ -244,8 +244,9 @@ class _Kernel:
     def _scanned(self, axis: Axis, fringes: FringeSet, phasor: Phasor, phase: Lanes) -> Lanes:
         """Orders from a scan of the whole image, on the host."""
         dr, types = self.device.dr, self.device.types
-        bright = validity.bright(self.limits, phasor, self._modulation(phasor)) & phasor.usable
-        good = types.UInt8(dr.select(bright, types.UInt32(1), types.UInt32(0)))
+        # dim and clipped pixels still lead the scan on; only those without a fringe mislead it
+        fringe = phasor.variance_rad2 < validity.NO_FRINGE_RAD2
+        good = types.UInt8(dr.select(fringe, types.UInt32(1), types.UInt32(0)))
         dr.eval(phase, good)
         image, mask = self._host(phase), self._host(good) > 0
         guided = self.plan.ways[axis] == "quality-guided"

@@ -44,7 +44,8 @@ def coordinate(device: Device, wrapped_rad: Lanes, order: Lanes, period_px: floa
 def row_scan(wrapped_rad: NDArray[np.float32], good: NDArray[np.bool_]) -> Orders:
     """Orders by the naive scan: down the rows' first pixels, then along each row; pixels not good are stepped over.
 
-    One false jump shifts the rest of its row. `wrapped_rad` and `good` are (row, col); orders start at 0.
+    One false jump shifts the rest of its row. A pixel stepped over takes the order that brings it nearest the good one
+    before it. `wrapped_rad` and `good` are (row, col); orders start at 0.
     """
     rows, columns = good.shape
     last = np.maximum.accumulate(np.where(good, np.arange(columns), -1), axis=1)
@@ -56,7 +57,8 @@ def row_scan(wrapped_rad: NDArray[np.float32], good: NDArray[np.bool_]) -> Order
     down = np.concatenate([[0.0], -np.round(np.diff(start) / TURN)]).cumsum()
     along = -np.round(np.diff(filled, axis=1) / TURN).cumsum(axis=1)
     along = np.concatenate([np.zeros((rows, 1)), along], axis=1)
-    return np.asarray(down[:, None] + along, dtype=np.int32)
+    turns = down[:, None] + along + (filled - wrapped_rad) / TURN
+    return np.asarray(np.round(turns), dtype=np.int32)
 
 
 def quality_guided(wrapped_rad: NDArray[np.float32], good: NDArray[np.bool_]) -> Orders:
@@ -95,4 +97,6 @@ def level(
     if not good.any():
         return orders
     shifts = np.round(ndimage.median(miss, labels, np.arange(1, count + 1)))
+    if whole:
+        return np.asarray(orders + shifts[0], dtype=np.int32)
     return np.asarray(orders + np.array([0.0, *np.atleast_1d(shifts)])[labels], dtype=np.int32)

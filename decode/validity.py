@@ -69,18 +69,10 @@ def reasons(
     for residual in residuals:
         agree = residual <= limits.max_order_residual
         reason = pick(agree, reason, code(Reason.ORDER_MISMATCH))
-    reason = pick(bright(limits, finest, modulation_dn), reason, _dim(device, finest))
-    return device.types.UInt8(pick(usable, reason, code(Reason.SATURATED)))
-
-
-def bright(limits: Limits, finest: Phasor, modulation_dn: Lanes) -> Lanes:
-    """Where there is modulation enough."""
     if limits.min_modulation_dn is None:
-        return finest.variance_rad2 <= DIM_RAD2
-    return modulation_dn >= limits.min_modulation_dn
-
-
-def _dim(device: Device, finest: Phasor) -> Lanes:
-    code = device.types.UInt32
+        bright = finest.variance_rad2 <= DIM_RAD2
+    else:
+        bright = modulation_dn >= limits.min_modulation_dn
     fringe = finest.variance_rad2 < NO_FRINGE_RAD2
-    return device.dr.select(fringe, code(Reason.DARK), code(Reason.SHADOW))
+    dim = pick(fringe, code(Reason.DARK), code(Reason.SHADOW))
+    return device.types.UInt8(pick(usable, pick(bright, reason, dim), code(Reason.SATURATED)))
