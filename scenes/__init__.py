@@ -4,7 +4,7 @@ from scenes.basis import Basis, Channel, basis
 from scenes.calibration import Calibration
 from scenes.load import dumps, load, parse, save, schema, shipped, source
 from scenes.meshes import Part, meshes, parts
-from scenes.patterns import Frame, PhaseShift
+from scenes.patterns import Frame, GrayBits, GrayCode, PhaseShift
 from scenes.rig import Projection
 from scenes.scene import Exposures, Object, Scene
 from scenes.sensor import Emva, Sensor, SimpleSensor
@@ -18,6 +18,8 @@ __all__ = [
     "Emva",
     "Exposures",
     "Frame",
+    "GrayBits",
+    "GrayCode",
     "Object",
     "Part",
     "PhaseShift",

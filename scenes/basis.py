@@ -1,10 +1,11 @@
 """A basis of the patterns' row space: all that light transport must carry to make every frame.
 
 Light is linear, so a camera pixel's response to a frame is the same weighted sum of its responses to the basis.
-Ideal sinusoids need ``1, cos, sin`` per axis and period, whatever the number of steps. Patterns changed by gamma or
-quantisation are tables of projector pixels; their basis comes from a singular value decomposition.
+Ideal sinusoids need ``1, cos, sin`` per axis and period, whatever the number of steps. Gray code, and whatever gamma or
+quantisation has changed, are tables of projector pixels; their basis comes from a singular value decomposition.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -12,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.emission import Emission
-from scenes.patterns import Axis, Patterns
+from scenes.patterns import Axis, Frame, Patterns
 
+AXES: tuple[Axis, ...] = ("column", "row")
 # Directions this far below the strongest carry less than float32 can hold of a frame.
 RANK_TOLERANCE = 1e-7
 
@@ -46,46 +48,61 @@ class Basis:
 
 def basis(patterns: Patterns, emission: Emission, resolution: tuple[int, int]) -> Basis:
     """The basis of one projector's frames as emitted; `resolution` is its (columns, rows)."""
-    if emission.pixelated:
-        return _tables(patterns, emission, resolution)
-    return _sinusoids(patterns, emission)
-
-
-def _sinusoids(patterns: Patterns, emission: Emission) -> Basis:
-    channels = [Channel("one")]
-    for axis in patterns.axes:
-        for period in patterns.periods_px:
-            channels += [Channel("cos", axis, period), Channel("sin", axis, period)]
-    index = {(c.kind, c.axis, c.period_px): i for i, c in enumerate(channels)}
     frames = patterns.frames()
+    ideal = [i for i, frame in enumerate(frames) if frame.kind != "gray" and not emission.pixelated]
+    channels: list[Channel] = []
+    blocks: list[tuple[list[int], NDArray[np.float64]]] = []
+    if ideal:
+        channels, weights = _sinusoids(patterns, [frames[i] for i in ideal], emission)
+        blocks.append((ideal, weights))
+    for axis in AXES:
+        rows = [i for i, frame in enumerate(frames) if frame.axis == axis and i not in ideal]
+        if rows:
+            tables, weights = _tables(patterns, [frames[i] for i in rows], emission, resolution)
+            channels += tables
+            blocks.append((rows, weights))
+    together = np.zeros((len(frames), len(channels)))
+    start = 0
+    for rows, weights in blocks:
+        together[np.ix_(rows, range(start, start + weights.shape[1]))] = weights
+        start += weights.shape[1]
+    return Basis(tuple(channels), together)
+
+
+def _sinusoids(
+    patterns: Patterns, frames: Sequence[Frame], emission: Emission
+) -> tuple[list[Channel], NDArray[np.float64]]:
+    """Analytic channels of fringes and uniform frames, and their weights (frame, channel)."""
+    fringes = dict.fromkeys((f.axis, f.period_px) for f in frames if f.kind == "fringe")
+    channels = [Channel("one")]
+    channels += [Channel(wave, *fringe) for fringe in fringes for wave in ("cos", "sin")]
+    index = {(c.kind, c.axis, c.period_px): i for i, c in enumerate(channels)}
     weights = np.zeros((len(frames), len(channels)))
     span = 1.0 - emission.black
-    weights[:, 0] = emission.black + 0.5 * span
     for row, frame in zip(weights, frames, strict=True):
+        if frame.kind != "fringe":
+            row[0] = 1.0 if frame.kind == "white" else emission.black
+            continue
+        row[0] = emission.black + 0.5 * span
         fringe = 0.5 * span * patterns.amplitude
         row[index["cos", frame.axis, frame.period_px]] = fringe * np.cos(frame.phase_shift_rad)
         row[index["sin", frame.axis, frame.period_px]] = -fringe * np.sin(frame.phase_shift_rad)
-    return Basis(tuple(channels), weights)
+    return channels, weights
 
 
-def _tables(patterns: Patterns, emission: Emission, resolution: tuple[int, int]) -> Basis:
-    frames = patterns.frames()
-    channels: list[Channel] = []
-    blocks: list[tuple[list[int], NDArray[np.float64]]] = []
-    for axis in patterns.axes:
-        centres = np.arange(0.5, resolution[0 if axis == "column" else 1])
-        rows = [i for i, frame in enumerate(frames) if frame.axis == axis]
-        emitted = np.stack([emission.emit(patterns.commanded(frames[i], centres)) for i in rows])
-        left, strength, right = np.linalg.svd(emitted, full_matrices=False)
-        kept = strength > RANK_TOLERANCE * strength[0]
-        # Scaled so that tables stay of the order of 1, as the analytic channels are.
-        scale = np.sqrt(emitted.shape[1])
-        tables = right[kept] * scale
-        channels += [Channel("table", axis, 0.0, tuple(table)) for table in tables]
-        blocks.append((rows, left[:, kept] * strength[kept] / scale))
-    weights = np.zeros((len(frames), len(channels)))
-    start = 0
-    for rows, block in blocks:
-        weights[np.ix_(rows, range(start, start + block.shape[1]))] = block
-        start += block.shape[1]
-    return Basis(tuple(channels), weights)
+def _tables(
+    patterns: Patterns,
+    frames: Sequence[Frame],
+    emission: Emission,
+    resolution: tuple[int, int],
+) -> tuple[list[Channel], NDArray[np.float64]]:
+    """Tables that span frames of one axis, and their weights (frame, table)."""
+    axis = frames[0].axis
+    centres = np.arange(0.5, resolution[0 if axis == "column" else 1])
+    emitted = np.stack([emission.emit(patterns.commanded(frame, centres)) for frame in frames])
+    left, strength, right = np.linalg.svd(emitted, full_matrices=False)
+    kept = strength > RANK_TOLERANCE * strength[0]
+    # Scaled so that tables stay of the order of 1, as the analytic channels are.
+    scale = np.sqrt(emitted.shape[1])
+    tables = [Channel("table", axis, 0.0, tuple(table)) for table in right[kept] * scale]
+    return tables, left[:, kept] * strength[kept] / scale

@@ -313,7 +313,8 @@ def undistort(
 def monotone_radius(coefficients: Coefficients) -> float:
     """Largest undistorted radius up to which the radial polynomial still grows; infinity if it always does."""
     k1, k2, _, _, k3 = coefficients
-    # d/dr of r (1 + k1 r^2 + k2 r^4 + k3 r^6), as a polynomial in r^2
-    roots = np.roots([7.0 * k3, 5.0 * k2, 3.0 * k1, 1.0])
+    # d/dr of r (1 + k1 r^2 + k2 r^4 + k3 r^6), as a polynomial in r^2; denormal terms would overflow in `roots`
+    terms = np.array([7.0 * k3, 5.0 * k2, 3.0 * k1, 1.0])
+    roots = np.roots(np.where(np.abs(terms) < 1e-30, 0.0, terms))
     turning = roots[(np.abs(roots.imag) < 1e-12) & (roots.real > 0)].real
     return float(np.sqrt(turning.min())) if turning.size else float("inf")
