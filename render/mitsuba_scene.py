@@ -11,7 +11,7 @@ from render.projector import projector_plugin
 from render.variant import mi, use
 from scenes.basis import basis
 from scenes.errors import RenderError
-from scenes.materials import Conductor, Diffuse, Glossy, Material
+from scenes.materials import Conductor, Dielectric, Diffuse, Glossy, Material
 from scenes.meshes import Part, parts
 from scenes.scene import Scene
 
@@ -55,10 +55,10 @@ def mitsuba_scene(scene: Scene, frame: int = 0, projector: int = 0) -> Any:
 def geometry(surfaces: Sequence[Part]) -> dict[str, Any]:
     """Mitsuba's dictionary of a scene's surfaces alone; part i is the shape `part_i`."""
     entries: dict[str, Any] = {"type": "scene"}
-    for index, part in enumerate(surfaces):
-        entries[f"part_{index}"] = _mesh(
-            f"part_{index}", part.mesh, _bsdf(part.material), part.smooth
-        )
+    bsdfs = {surface.material: _bsdf(surface.material) for surface in surfaces}
+    for index, surface in enumerate(surfaces):
+        name = f"part_{index}"
+        entries[name] = _mesh(name, surface.mesh, bsdfs[surface.material], surface.smooth)
     return entries
 
 
@@ -75,6 +75,9 @@ def _mesh(name: str, mesh: trimesh.Trimesh, bsdf: Any, smooth: bool) -> Any:
 
 
 def _bsdf(material: Material) -> Any:
+    if isinstance(material, Dielectric):
+        # Its two sides differ: outside is air.
+        return mi.load_dict(_one_sided(material))
     # Two-sided, because users' meshes are open or wound the other way.
     return mi.load_dict({"type": "twosided", "surface": _one_sided(material)})
 
@@ -100,5 +103,13 @@ def _one_sided(material: Material) -> dict[str, Any]:
                 "distribution": "ggx",
                 "eta": eta,
                 "k": k,
+                "alpha": roughness,
+            }
+        case Dielectric(ior=ior, roughness=roughness):
+            return {
+                "type": "roughdielectric",
+                "distribution": "ggx",
+                "int_ior": ior,
+                "ext_ior": 1.0,
                 "alpha": roughness,
             }

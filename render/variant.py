@@ -17,9 +17,13 @@ class _Later:
     def __init__(self, name: str) -> None:
         self._name = name
 
-    def __getattr__(self, attribute: str) -> Any:
+    @functools.cached_property
+    def _module(self) -> Any:
         _chosen()
-        return getattr(importlib.import_module(self._name), attribute)
+        return importlib.import_module(self._name)
+
+    def __getattr__(self, attribute: str) -> Any:
+        return getattr(self._module, attribute)
 
 
 mi: Any = _Later("mitsuba")

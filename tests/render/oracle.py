@@ -55,7 +55,7 @@ class Comparison:
 
 
 def compare(
-    scene: Scene, frame: int, projector: int = 0, repeats: int = 48, samples: int = 64
+    scene: Scene, frame: int, projector: int = 0, repeats: int = 24, samples: int = 128
 ) -> Comparison:
     """Estimate one frame with the fast pass and with `path`."""
     judge = render.mitsuba_scene(scene, frame, projector)
