@@ -55,9 +55,8 @@ class Device:
             raise DecodeError(
                 f"frames are {flat.dtype}: convert them to uint8, uint16 or float32 digital numbers"
             )
-        if pixels is None:
-            return types.Float(kind(padded(flat)))
-        return types.Float(dr.gather(kind, kind(flat), pixels))
+        lanes = kind(padded(flat))
+        return types.Float(lanes if pixels is None else dr.gather(kind, lanes, pixels))
 
 
 def padded(flat: NDArray[Any]) -> NDArray[Any]:

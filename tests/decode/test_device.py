@@ -1,0 +1,65 @@
+"""How planes reach the kernel: every type and layout, and no read past the end."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from decode.device import Device
+from scenes.errors import DecodeError
+
+
+@pytest.fixture(scope="module")
+def device() -> Device:
+    return Device.open()
+
+
+@pytest.mark.parametrize("size", [1, 2, 15, 64, 67, 1001])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_planes_arrive_exactly_whatever_their_size_and_alignment(
+    device: Device, dtype: type, size: int
+) -> None:
+    rng = np.random.default_rng(size)
+    top = 1 if dtype is np.float32 else np.iinfo(dtype).max
+    whole = (rng.random((3, size)) * top).astype(dtype)
+    whole[1, 0] = top
+    for plane in (*whole, whole[:, ::2][0], whole.T[:, 1]):
+        assert np.array_equal(device.plane(plane).numpy(), plane.astype(np.float32))
+    picked = device.types.UInt32(np.arange(size, dtype=np.uint32)[::-1].copy())
+    assert np.array_equal(device.plane(whole[1], picked).numpy(), whole[1, ::-1].astype(np.float32))
+
+
+def test_read_only_frames_are_decoded_where_they_lie(device: Device) -> None:
+    plane = np.arange(128, dtype=np.uint8)
+    plane.flags.writeable = False
+    assert np.array_equal(device.plane(plane).numpy(), np.arange(128))
+
+
+def test_other_types_are_refused(device: Device) -> None:
+    with pytest.raises(DecodeError, match="frames are int32"):
+        device.plane(np.zeros((2, 2), np.int32))
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs mprotect")
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "float32"])
+def test_no_kernel_reads_past_the_end_of_a_stack(dtype: str) -> None:
+    """Dr.Jit loads whole packets: a mapped array that ends at an unreadable page would kill the process."""
+    code = f"""
+import ctypes, mmap
+import numpy as np
+from decode.device import Device
+pages = mmap.mmap(-1, 3 * mmap.PAGESIZE)
+at = ctypes.addressof(ctypes.c_char.from_buffer(pages))
+libc = ctypes.CDLL(None)
+assert libc.mprotect(ctypes.c_void_p(at + 2 * mmap.PAGESIZE), ctypes.c_size_t(mmap.PAGESIZE), 0) == 0
+dtype = np.dtype("{dtype}")
+device = Device.open("llvm")
+for size in (67, 1000, 1001):
+    start = 2 * mmap.PAGESIZE - size * dtype.itemsize
+    plane = np.frombuffer(pages, dtype, size, start)
+    for lanes in (device.plane(plane), device.plane(plane, device.dr.arange(device.types.UInt32, size))):
+        assert (lanes + 1.0).numpy().sum() == size
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"status {done.returncode}: {done.stderr}"

@@ -1,0 +1,78 @@
+"""The reconstruction as a value: files, other people's heights, phases without loss."""
+
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import decode
+from decode.reconstruction import AxisPhase
+from scenes.errors import DecodeError, FileError
+from scenes.patterns import PhaseShift
+from tests.decode.synthetic import calibrated_stack, hills, rig
+
+IMAGES = ("height_mm", "sigma_mm", "modulation_dn", "offset_dn", "reason", "exposure", "xyz_mm")
+
+
+@pytest.fixture(scope="module")
+def rec() -> decode.Reconstruction:
+    patterns = PhaseShift(periods_px=(16.0, 80.0), axes=("column", "row"))
+    stack = calibrated_stack(rig(), hills(), patterns, sigma_dn=1.0, dtype=np.uint8)
+    return decode.reconstruct(stack, roi=(0, 40, 3, 64), height_range_mm=(-0.5, 1.5))
+
+
+def same(one: decode.Reconstruction, two: decode.Reconstruction) -> None:
+    for name in IMAGES:
+        a, b = getattr(one, name), getattr(two, name)
+        assert a.dtype == b.dtype, name
+        assert np.array_equal(a, b, equal_nan=True), name
+    assert one.axis == two.axis
+    assert one.calibration == two.calibration
+    for axis, phase in one.phases.items():
+        assert np.array_equal(phase.phase_rad, two.phases[axis].phase_rad, equal_nan=True)
+    assert one.reason_fractions() == two.reason_fractions()
+
+
+def test_a_file_gives_back_every_value(rec: decode.Reconstruction, tmp_path: Path) -> None:
+    rec.write(tmp_path / "rec.exr")
+    back = decode.Reconstruction.read(tmp_path / "rec.exr")
+    same(rec, back)
+    assert back.settings["fusion"] == "max-modulation"
+    assert set(rec.reason_fractions()) == {"ok", "out-of-volume"}
+
+
+def test_a_process_can_hand_it_to_another(rec: decode.Reconstruction) -> None:
+    same(rec, pickle.loads(pickle.dumps(rec)))
+
+
+def test_a_damaged_file_is_an_error(rec: decode.Reconstruction, tmp_path: Path) -> None:
+    rec.write(tmp_path / "rec.exr")
+    (tmp_path / "rec.exr").write_bytes((tmp_path / "rec.exr").read_bytes()[:5000])
+    with pytest.raises(FileError, match="truncated"):
+        decode.Reconstruction.read(tmp_path / "rec.exr")
+
+
+def test_heights_of_another_decoder_are_scored_by_their_nans() -> None:
+    height = hills()
+    height[0, 0] = np.nan
+    mine = decode.Reconstruction.of_heights(height, calibration=rig())
+    assert (mine.valid == np.isfinite(height)).all()
+    assert mine.xyz_mm.shape == (48, 64, 3)
+    with pytest.raises(DecodeError, match="no phase"):
+        _ = mine.phase_rad
+    with pytest.raises(DecodeError, match="nothing to score"):
+        decode.Reconstruction.of_heights(np.full((3, 3), np.nan))
+    with pytest.raises(DecodeError, match="expected \\(row, col\\)"):
+        decode.Reconstruction.of_heights(np.zeros(3))
+    with pytest.raises(DecodeError, match="valid has shape"):
+        decode.Reconstruction.of_heights(np.zeros((3, 3)), valid=np.ones((2, 2), bool))
+
+
+def test_order_and_wrapped_phase_together_keep_what_float32_loses() -> None:
+    wrapped = np.linspace(-3, 3, 1000, dtype=np.float32)[None]
+    phase = AxisPhase(16.0, wrapped, np.full(wrapped.shape, 400, np.int32))
+    back = phase.phase_rad - 2 * np.pi * 400
+    assert np.abs(back - wrapped).max() < 2500 * 2.0**-52
+    lost = phase.phase_rad.astype(np.float32).astype(np.float64) - 2 * np.pi * 400
+    assert np.abs(lost - wrapped).max() > 1e-5
