@@ -56,7 +56,7 @@ class Optics:
         return mi.Point3f(0) if self.lens is None else self._pupil(lens_sample)
 
     def pixel(self, local: Any, source: Any) -> tuple[Any, Any]:
-        """Continuous projector pixel whose light goes from `source` to the point `local`, and whether it exists."""
+        """Continuous projector pixel whose light goes from `source` to the point `local`, and whether there is one."""
         x, y = local.x, local.y
         if self.lens is not None:
             # Where the ray meets the plane in focus: every ray of one pixel passes there.
@@ -70,7 +70,9 @@ class Optics:
         if any(self.distortion):
             x, y = distort(x, y, self.distortion)
         pixel = mi.Point2f(x, y) * self.focal + self.centre
-        return pixel, imaged & dr.all((pixel >= 0) & (pixel < self.size))
+        lit = imaged & dr.all((pixel >= 0) & (pixel < self.size))
+        # Where there is no pixel its numbers may be NaN, and 0 * NaN would outlive any mask.
+        return dr.select(lit, pixel, 0), lit
 
     def axis(self) -> Any:
         """Unit viewing direction in the world."""

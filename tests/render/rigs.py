@@ -137,7 +137,12 @@ def scene(
                 "mirror": {"kind": "conductor", "eta": 1.48, "k": 5.25, "roughness": 0.0}
             },
             "ambient": {"radiance_w_m2_sr": ambient},
-            "patterns": {"periods_px": (16.0,), "steps": 3, **(patterns or {})},
+            "patterns": {
+                "kind": "phase-shift",
+                "periods_px": (16.0,),
+                "steps": 3,
+                **(patterns or {}),
+            },
             "exposures": {"times_ms": (1.0,)},
             "sampling": {"samples": 64, "depth": depth},
             "height_range_mm": (-1.0, 9.0),

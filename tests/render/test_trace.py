@@ -94,6 +94,20 @@ def test_direct_light_does_not_depend_on_depth() -> None:
     assert deep.total[0, 0].mean() > 1.1 * deep.direct[0, 0].mean()
 
 
+def test_projector_whose_plane_holds_the_origin_leaves_no_nan_where_rays_meet_nothing() -> None:
+    # A ray that meets nothing leaves zeros behind: the world's origin, here at depth 0 of the projector.
+    projector = rigs.pinhole_projector()
+    projector["pose"] = {
+        "origin_mm": (0.0, 0.0, 60.0),
+        "target_mm": (50.0, 0.0, 60.0),
+        "up": (0, 0, 1),
+    }
+    scene = rigs.scene(rigs.pinhole(field_mm=300.0), projector)
+    transport = render.trace(scene, samples=4)
+    assert (transport.label == 0).any()
+    assert np.isfinite(transport.total).all()
+
+
 @pytest.mark.parametrize("wrong", [{"samples": 0}, {"depth": 0}, {"samples": -3}])
 def test_impossible_samples_or_depth_are_named(wrong: dict[str, int]) -> None:
     with pytest.raises(RenderError, match=rf"{next(iter(wrong))} = "):
