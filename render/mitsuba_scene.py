@@ -54,7 +54,9 @@ def mitsuba_scene(scene: Scene, frame: int = 0, projector: int = 0) -> Any:
 
 def geometry(surfaces: Sequence[Part]) -> dict[str, Any]:
     """Mitsuba's dictionary of a scene's surfaces alone; part i is the shape `part_i`."""
-    entries: dict[str, Any] = {"type": "scene"}
+    # Without this, a ray that meets an edge exactly, as pixel centres on a symmetric mesh do, slips between the two
+    # triangles. It costs 7 % of a trace at most.
+    entries: dict[str, Any] = {"type": "scene", "embree_use_robust_intersections": True}
     bsdfs = {surface.material: _bsdf(surface.material) for surface in surfaces}
     for index, surface in enumerate(surfaces):
         name = f"part_{index}"
