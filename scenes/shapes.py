@@ -15,6 +15,7 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from scenes.errors import MeshError
 from scenes.frozen import Frozen
+from scenes.grains import Grains
 
 Size = tuple[PositiveFloat, PositiveFloat]
 Segments = Annotated[int, Field(ge=8, le=4096)]
@@ -183,7 +184,7 @@ class MeshFile(Frozen):
         return mesh
 
 
-Shape = Annotated[Plate | Disk | Box | Cap | MeshFile, Field(discriminator="kind")]
+Shape = Annotated[Plate | Disk | Box | Cap | Grains | MeshFile, Field(discriminator="kind")]
 
 
 def _rectangle(x: float, y: float, size_mm: Size) -> shapely.Polygon:
