@@ -1,0 +1,234 @@
+"""Figures of a reconstruction and its errors: maps, histograms, profiles.
+
+Every function returns a `matplotlib.figure.Figure` of its own, so that nothing is shared between callers or threads.
+Colour maps are perceptually uniform and safe for colour-blind readers: viridis for amounts, Moreland's coolwarm for
+signed errors (symmetric about 0, in um), twilight for cyclic phases. Axes count camera pixels.
+"""
+
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from decode import Reconstruction
+from evaluation.score import height_error_mm, scored
+from scenes.errors import ScoreError
+from scenes.replace_file import replacing
+from scenes.truth import Truth
+
+UM_PER_MM = 1000.0
+# Okabe and Ito's colours, told apart under every common colour blindness.
+MEASURED, TRUE, PREDICTED = "#0072B2", "#D55E00", "#000000"
+MISSING = "#bbbbbb"
+MISSING_ON_GRAY = "#6c8ebf"
+DPI = 150
+
+
+def png(figure: Figure) -> bytes:
+    """The figure as a PNG file's bytes."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=DPI)
+    return buffer.getvalue()
+
+
+def save(figure: Figure, path: str | Path) -> None:
+    """Write the figure as PNG, beside and renamed; raises `FileError` when the file cannot be written."""
+    with replacing(path) as beside:
+        beside.write_bytes(png(figure))
+
+
+def draw_map(
+    axes: Any,
+    values: NDArray[Any],
+    title: str,
+    unit: str,
+    *,
+    limits: tuple[float, float] | None = None,
+    cmap: str = "viridis",
+) -> None:
+    """Draw an image (row, col) with a colour bar labelled `unit`; NaN is plain gray (blue in a gray map).
+
+    `limits` are the ends of the colour scale; None: the data's 0.5 and 99.5 percentiles.
+    """
+    shown = np.asarray(values, dtype=np.float64)
+    low, high = limits or _spread(shown)
+    image = axes.imshow(shown, cmap=cmap, vmin=low, vmax=high, interpolation="nearest")
+    axes.set_facecolor(MISSING_ON_GRAY if cmap == "gray" else MISSING)
+    axes.set(title=title, xlabel="column (px)", ylabel="row (px)")
+    extend = _beyond(shown, low, high)
+    axes.figure.colorbar(image, ax=axes, label=unit, extend=extend, shrink=0.9)
+
+
+def map_figure(
+    values: NDArray[Any],
+    title: str,
+    unit: str,
+    *,
+    limits: tuple[float, float] | None = None,
+    cmap: str = "viridis",
+) -> Figure:
+    """One map, see `draw_map`."""
+    rows, cols = values.shape
+    figure = Figure(
+        figsize=(6.4, 6.4 * min(max(rows / cols, 0.3), 2.0) * 0.85 + 0.4), layout="constrained"
+    )
+    draw_map(figure.subplots(), values, title, unit, limits=limits, cmap=cmap)
+    return figure
+
+
+def error_map(rec: Reconstruction, truth: Truth, limit_um: float | None = None) -> Figure:
+    """Signed height error in um, symmetric about 0; rejected pixels are gray.
+
+    `limit_um` is the end of the scale; None: the 99th percentile of the absolute error.
+    """
+    error = height_error_mm(rec, truth) * UM_PER_MM
+    known = np.abs(error[np.isfinite(error)])
+    limit = limit_um or (float(np.percentile(known, 99.0)) if known.size else 0.0) or 1.0
+    return map_figure(
+        error, "Height error (measured − true)", "µm", limits=(-limit, limit), cmap="coolwarm"
+    )
+
+
+def error_histograms(rec: Reconstruction, truth: Truth, margin_px: int = 0) -> Figure:
+    """Height errors in um of every region, beside the density of its predicted noise: the mean of its pixels' normals.
+
+    Errors beyond 6 predicted sigmas and the 99th percentile are counted in the title, not drawn. Regions with no
+    measured pixel are left out; raises `ScoreError` if none has any.
+    """
+    error, sigma = height_error_mm(rec, truth) * UM_PER_MM, rec.sigma_mm * UM_PER_MM
+    regions: dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
+    for label in truth.labels:
+        use = scored(truth, label, margin_px) & np.isfinite(error)
+        if use.any():
+            regions[label] = error[use], sigma[use & (sigma > 0)].astype(np.float64)
+    if not regions:
+        raise ScoreError("no region has a measured pixel, so there is no error to draw")
+    columns = min(3, len(regions))
+    rows = -(-len(regions) // columns)
+    figure = Figure(figsize=(3.6 * columns, 2.8 * rows), layout="constrained")
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axes, (label, (errors, predicted)) in zip(panels, regions.items(), strict=False):
+        _histogram(axes, label, errors, predicted)
+    for axes in panels[len(regions) :]:
+        axes.set_axis_off()
+    handles = {
+        text: h
+        for axes in panels
+        for h, text in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(
+        handles.values(), handles.keys(), loc="outside lower right", ncols=2, fontsize="small"
+    )
+    return figure
+
+
+def profile(
+    rec: Reconstruction, truth: Truth, index: int, along: Literal["row", "column"] = "row"
+) -> Figure:
+    """Heights along one image row (or column) with the truth in mm, and below them the error in um with +- 2 sigma.
+
+    Raises `ScoreError` for a row or column that does not exist.
+    """
+    error = height_error_mm(rec, truth)
+    axis = 0 if along == "row" else 1
+    if not 0 <= index < error.shape[axis]:
+        raise ScoreError(f"{along} {index} does not exist: use 0 to {error.shape[axis] - 1}")
+
+    def line(values: NDArray[Any]) -> NDArray[np.float64]:
+        return np.asarray(np.take(values, index, axis=axis), dtype=np.float64)
+
+    position = line(truth.xyz_mm[..., 0 if along == "row" else 1])
+    errors, sigma = line(error) * UM_PER_MM, line(rec.sigma_mm) * UM_PER_MM
+    valid = np.isfinite(errors)
+    figure = Figure(figsize=(7.0, 4.6), layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    measured = np.where(valid, line(rec.height_mm), np.nan)
+    above.plot(position, measured, ".", color=MEASURED, markersize=2.5, label="measured")
+    above.plot(position, line(truth.height_mm), color=TRUE, linewidth=1.0, label="truth")
+    above.set(ylabel="height (mm)", title=f"Profile along {along} {index}")
+    above.legend(fontsize="small")
+    noise = np.where(valid, 2.0 * sigma, np.nan)
+    below.fill_between(
+        position, -noise, noise, color=PREDICTED, alpha=0.2, linewidth=0, label="± 2σ predicted"
+    )
+    below.plot(position, errors, ".", color=MEASURED, markersize=2.5)
+    below.set(xlabel=f"{'x' if along == 'row' else 'y'} (mm)", ylabel="error (µm)")
+    if valid.any():
+        limit = float(np.percentile(np.abs(errors[valid]), 99.0)) * 1.3
+        below.set_ylim(-limit or -1.0, limit or 1.0)
+    if np.isfinite(noise).any():
+        below.legend(fontsize="small", loc="upper right")
+    return figure
+
+
+def row_through(truth: Truth, label: str) -> int | None:
+    """The image row for a profile of a label: through its highest pixel, of equally high ones the middle; None if unseen."""
+    mask = truth.region(label) & np.isfinite(truth.height_mm)
+    if not mask.any():
+        return None
+    height = np.where(mask, truth.height_mm, -np.inf)
+    # Heights within a nanometre are float32's rounding of one.
+    rows, _ = np.nonzero(height >= height.max() - 1e-6)
+    return int(np.median(rows))
+
+
+def figures(rec: Reconstruction, truth: Truth) -> Mapping[str, Figure]:
+    """The standard set for a report, by name; what the reconstruction does not know is left out."""
+    found = {
+        "height": map_figure(np.where(rec.valid, rec.height_mm, np.nan), "Height", "mm"),
+        "error": error_map(rec, truth),
+    }
+    if np.isfinite(rec.modulation_dn).any():
+        found["modulation"] = map_figure(rec.modulation_dn, "Modulation B", "DN")
+    if np.isfinite(rec.sigma_mm[rec.valid]).any():
+        sigma = np.where(rec.valid, rec.sigma_mm, np.nan) * UM_PER_MM
+        found["sigma"] = map_figure(sigma, "Predicted standard deviation", "µm")
+    if np.isfinite(height_error_mm(rec, truth)).any():
+        found["histograms"] = error_histograms(rec, truth)
+    for label in truth.labels:
+        row = row_through(truth, label) if label in ("cap", "step", "solder") else None
+        if row is not None:
+            found[f"profile-{label}"] = profile(rec, truth, row)
+    return found
+
+
+def _histogram(
+    axes: Any, label: str, errors: NDArray[np.float64], sigma: NDArray[np.float64]
+) -> None:
+    typical = float(np.median(sigma)) if sigma.size else 0.0
+    reach = max(float(np.percentile(np.abs(errors), 99.0)), 6.0 * typical) or 1.0
+    inside = np.abs(errors) <= reach
+    # Enough bins to show the width, no more than the pixels can fill.
+    bins = int(np.clip(np.sqrt(inside.sum()), 11, 101))
+    counts, edges = np.histogram(errors, bins, (-reach, reach))
+    density = counts / (errors.size * np.diff(edges))
+    axes.stairs(density, edges, fill=True, color=MEASURED, alpha=0.6, label="measured")
+    if typical > 0:
+        x = np.linspace(-reach, reach, 401)
+        # A hundred quantiles stand for all pixels.
+        some = np.quantile(sigma, np.linspace(0.005, 0.995, 100))[:, None]
+        normal = np.exp(-0.5 * (x / some) ** 2) / (some * np.sqrt(2.0 * np.pi))
+        axes.plot(x, normal.mean(axis=0), color=PREDICTED, linewidth=1.0, label="predicted noise")
+    beyond = int((~inside).sum())
+    rest = f", {beyond} beyond" if beyond else ""
+    axes.set(xlabel="height error (µm)", ylabel="density (1/µm)")
+    axes.set_title(f"{label}: {errors.size} px{rest}", fontsize="medium")
+
+
+def _spread(values: NDArray[np.float64]) -> tuple[float, float]:
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return 0.0, 1.0
+    low, high = (float(p) for p in np.percentile(known, [0.5, 99.5]))
+    return (low, high) if high > low else (low - 0.5, high + 0.5)
+
+
+def _beyond(values: NDArray[np.float64], low: float, high: float) -> str:
+    """Which ends of a colour scale the data exceeds, as matplotlib says it; rounding is no excess."""
+    slack = 1e-6 * (high - low)
+    under, over = bool(np.any(values < low - slack)), bool(np.any(values > high + slack))
+    return {(0, 0): "neither", (1, 0): "min", (0, 1): "max", (1, 1): "both"}[under, over]
