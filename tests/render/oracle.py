@@ -47,11 +47,12 @@ class Comparison:
         p = self.pixel_p_values()
         return float(-np.expm1(p.size * np.log1p(-p.min())))
 
-    def mean_bias(self) -> tuple[float, float]:
-        """Relative difference of the images' means, and its standard error."""
+    def mean_bias(self) -> tuple[float, float, float]:
+        """Relative difference of the images' means, its standard error, and Welch's p-value."""
         a, b = self.ours.mean(axis=(1, 2)), self.oracle.mean(axis=(1, 2))
         error = np.sqrt(a.var(ddof=1) / len(a) + b.var(ddof=1) / len(b))
-        return float((a.mean() - b.mean()) / b.mean()), float(error / b.mean())
+        p = stats.ttest_ind(a, b, equal_var=False).pvalue
+        return float((a.mean() - b.mean()) / b.mean()), float(error / b.mean()), float(p)
 
 
 def compare(

@@ -119,6 +119,12 @@ def groove() -> list[Entries]:
     ]
 
 
+def resin() -> list[Entries]:
+    """A clear block with a rough skin on the plate: light goes in, meets the paint below, and comes out elsewhere."""
+    block = {"kind": "box", "size_mm": (30.0, 24.0, 6.0)}
+    return [*plane(), {"label": "resin", "material": "resin", "shape": block}]
+
+
 def scene(
     camera: Entries,
     *projectors: Entries,

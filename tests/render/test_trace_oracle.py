@@ -6,6 +6,7 @@ footprint, lens, BSDF, shadow or depth shows as a difference.
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from tests.render.oracle import compare
 from tests.render.rigs import (
@@ -14,6 +15,7 @@ from tests.render.rigs import (
     groove,
     pinhole,
     pinhole_projector,
+    resin,
     scene,
     telecentric,
     telecentric_projector,
@@ -35,6 +37,7 @@ CASES = {
         pinhole_projector(field_mm=120.0, distortion=DISTORTION),
     ),
     "interreflection": scene(pinhole(), pinhole_projector(), objects=groove(), depth=6),
+    "translucent": scene(pinhole(), pinhole_projector(), objects=resin(), depth=6),
     "ambient": scene(pinhole(), pinhole_projector(), ambient=5.0),
     "mirror": scene(pinhole(), pinhole_projector(), objects=board("mirror"), depth=4, ambient=2.0),
     "tables": scene(
@@ -62,8 +65,9 @@ def test_fast_pass_equals_path_in_every_pixel_and_in_the_mean(case: str) -> None
 
     # One case in a thousand fails by chance, or would, were the seeds not fixed.
     assert comparison.smallest_p() > 1e-3
-    bias, error = comparison.mean_bias()
-    assert abs(bias) < 3 * error
+    # Three standard errors; the t distribution knows that the error itself is estimated from 24 repeats.
+    bias, error, p = comparison.mean_bias()
+    assert p > 2 * stats.norm.sf(3), f"bias {bias:.1e}, standard error {error:.1e}"
     # The test has teeth: half a percent of bias would be seen.
     assert error < 0.005 / 3
 
