@@ -56,11 +56,13 @@ class SimpleSensor(Digitiser):
     """DN per (W/(m^2 sr) x ms)."""
     sigma_dn: NonNegativeFloat = 3.0
     """Standard deviation of the noise."""
+    saturated_from_dn: PositiveFloat | None = None
+    """From this digital number up samples are not to be trusted, where a real camera bends before its converter's end."""
 
     @property
     def saturation_dn(self) -> float:
         """From this digital number up a sample is saturated."""
-        return self.full_scale_dn
+        return min(self.full_scale_dn, self.saturated_from_dn or float("inf"))
 
     def mean_dn(self, radiance: ArrayLike, exposure_ms: float) -> NDArray[np.float64]:
         """Mean digital number, before clipping and rounding, of radiance in W/(m^2 sr)."""
