@@ -1,26 +1,19 @@
 """Exposure fusion: one phase per pixel out of several exposures of the same fringes.
 
-A rule sees all samples of one fringe set of one pixel, inside the kernel, and returns one `Phasor`. Rules are found by
-name in `RULES` and among the installed distributions' entry points of group ``fringebench.fusion``, each of which
-names a `FusionRule` subclass::
-
-    [project.entry-points."fringebench.fusion"]
-    my-rule = "my_package:MyRule"
+A rule sees all samples of one fringe set of one pixel, inside the kernel, and returns one `Phasor`. `decode.registry`
+finds rules by name.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from importlib.metadata import EntryPoints, entry_points
 from typing import Self
 
 from decode.device import Device, Lanes
-from decode.phase import FringeSet, Phasor, phase_gain, solution, weighted_sum
-from scenes.errors import DecodeError, nearest
+from decode.phase import FringeSet, Phasor, solution, variance_rad2, weighted_sum
+from scenes.errors import DecodeError
 from scenes.stack import Stack
 
-ENTRY_POINT_GROUP = "fringebench.fusion"
 # `Phasor.exposure` where more than one exposure made the phase.
 MERGED = 255
 
@@ -61,12 +54,11 @@ class Samples:
         mean, cosine, sine = (weighted_sum(row, steps) for row in solution(self.fringes))
         constant, slope = self.noise[exposure]
         variance = constant + slope * dr.maximum(mean - self.black_level_dn, 0.0)
-        modulation2 = cosine * cosine + sine * sine
         return Phasor(
             cosine=cosine,
             sine=sine,
             offset=mean,
-            variance_rad2=phase_gain(self.fringes) * variance / modulation2,
+            variance_rad2=variance_rad2(self.fringes, cosine, sine, variance, slope),
             usable=self.unsaturated(exposure),
             exposure=types.UInt32(exposure),
         )
@@ -141,39 +133,3 @@ class MaxModulation(FusionRule):
 
 def _power(phasor: Phasor) -> Lanes:
     return phasor.cosine * phasor.cosine + phasor.sine * phasor.sine
-
-
-RULES: dict[str, Callable[[], FusionRule]] = {
-    "single": Single,
-    "max-modulation": MaxModulation,
-}
-
-
-def rules() -> tuple[str, ...]:
-    """Names of all fusion rules: the built-in ones, then those of other distributions."""
-    return tuple(RULES) + tuple(sorted({point.name for point in _foreign()} - RULES.keys()))
-
-
-def rule(name: str) -> FusionRule:
-    """The fusion rule of that name. Raises `DecodeError` for an unknown name or a broken entry point."""
-    if name in RULES:
-        return RULES[name]()
-    for point in _foreign():
-        if point.name == name:
-            try:
-                found = point.load()()
-            except Exception as error:  # somebody else's package may raise anything
-                raise DecodeError(
-                    f"fusion rule '{name}' ({point.value}) cannot be loaded: {error}"
-                ) from error
-            if not isinstance(found, FusionRule):
-                raise DecodeError(
-                    f"fusion rule '{name}' ({point.value}) gives a {type(found).__name__}: "
-                    "the entry point must name a subclass of decode.FusionRule"
-                )
-            return found
-    raise DecodeError(f"unknown fusion rule '{name}': {nearest(name, rules())}")
-
-
-def _foreign() -> EntryPoints:
-    return entry_points(group=ENTRY_POINT_GROUP)

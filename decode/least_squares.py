@@ -51,11 +51,15 @@ def waves(fringes: FringeSet) -> NDArray[np.float64]:
 
 
 def solve(
-    device: Device, fringes: FringeSet, weight: Sequence[Lanes], pull: Sequence[Lanes]
+    device: Device,
+    fringes: FringeSet,
+    weight: Sequence[Lanes],
+    pull: Sequence[Lanes],
+    at: tuple[Lanes, Lanes] | None = None,
 ) -> Solution:
     """Fit ``a + b cos(phi + delta_n)`` to ``pull_n / weight_n``, of variance ``1 / weight_n``; no weight, no say.
 
-    The offset is eliminated by centring the waves, which keeps the digits that a difference of products would lose.
+    The phase's variance is taken at the solution, or at another ``(b cos phi, b sin phi)`` given as `at`. The offset is eliminated by centring the waves, which keeps the digits that a difference of products would lose.
     """
     dr = device.dr
     wave = waves(fringes)
@@ -75,8 +79,9 @@ def solve(
     px, py = moment(x, rest), moment(y, rest)
     det = xx * yy - xy * xy
     cosine, sine = (yy * px - xy * py) / det, (xx * py - xy * px) / det
-    power = cosine * cosine + sine * sine
-    across = sine * sine * yy + 2.0 * cosine * sine * xy + cosine * cosine * xx
+    c, s = at or (cosine, sine)
+    power = c * c + s * s
+    across = s * s * yy + 2.0 * c * s * xy + c * c * xx
     return Solution(
         offset=level - cosine * means[0] - sine * means[1],
         cosine=cosine,
@@ -110,10 +115,10 @@ class WeightedLeastSquares(FusionRule):
     def fit(self, samples: Samples) -> tuple[Solution, list[list[Lanes]]]:
         """The fit to the samples that count, and which those are."""
         masks = self.mask(samples)
-        found = _step(samples, masks, None)
+        found = fitted(samples, masks, None)
         if any(slope for _, slope in samples.noise):
             for _ in range(self.refinements):
-                found = _step(samples, masks, found)
+                found = fitted(samples, masks, found)
         return found, masks
 
     def fuse(self, samples: Samples) -> Phasor:
@@ -129,9 +134,9 @@ class InverseVariance(WeightedLeastSquares):
     that is alike in all steps the matched filter ``phi = arg sum_k m_k (B_k / sigma_k^2) Z_k`` with
     ``sigma_k^2 = gain A_k + sigma_r^2 + q^2/12``).
 
-    B_k enters through the time, to which it is proportional and which has no noise. Shot noise differs between steps: at
-    full contrast the matched filter, which knows only its mean, loses up to half of what the frames hold (N = 4: the
-    efficiency is ``1 - (B sin 2phi / A)^2 / 2``... averaged over phi), so each step has its own variance here.
+    B_k enters through the time, to which it is proportional and which has no noise. Shot noise differs between steps; the
+    matched filter knows only its mean, and its efficiency at N = 4 is ``1 - (B sin 2phi / A)^2 / 2``: 3/4 on average at
+    full contrast. So each step has its own variance here.
     """
 
     def mask(self, samples: Samples) -> list[list[Lanes]]:
@@ -151,8 +156,8 @@ class MaskedLeastSquares(WeightedLeastSquares):
         return [[dn < samples.saturation_dn for dn in steps] for steps in samples.dn]
 
 
-def _step(samples: Samples, masks: list[list[Lanes]], last: Solution | None) -> Solution:
-    """One weighted fit."""
+def fitted(samples: Samples, masks: list[list[Lanes]], last: Solution | None) -> Solution:
+    """One weighted fit, the noise model taken at the last fit's radiance; without one, as for shot noise alone."""
     dr, types = samples.device.dr, samples.device.types
     radiance = None if last is None else last.radiance(samples.fringes)
     weight, pull = [], []

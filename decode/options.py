@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decode.fusion import FusionRule, Single
-from decode.fusion import rule as rule_named
 from decode.reconstruction import Reconstruction
+from decode.registry import rule as rule_named
 from scenes.errors import DecodeError, nearest
 from scenes.patterns import Axis
 from scenes.stack import Stack

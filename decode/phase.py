@@ -47,10 +47,13 @@ class Phasor:
 
 def fringe_sets(frames: Sequence[Frame], projector: int) -> dict[Axis, tuple[FringeSet, ...]]:
     """A projector's fringe sets by axis, coarsest period first. Raises `DecodeError` if a set gives no phase."""
-    mine = [(i, f) for i, f in enumerate(frames) if f.projector == projector]
+    fringes = [(i, f) for i, f in enumerate(frames) if f.kind == "fringe"]
+    mine = [(i, f) for i, f in fringes if f.projector == projector]
     if not mine:
-        known = sorted({f.projector for f in frames})
-        raise DecodeError(f"the stack has no frames of projector {projector}: it has {known}")
+        known = sorted({f.projector for _, f in fringes})
+        raise DecodeError(
+            f"the stack has no fringes of projector {projector}: it has some of {known or 'none'}"
+        )
 
     def key(item: tuple[int, Frame]) -> tuple[str, float]:
         return item[1].axis, -item[1].period_px
@@ -87,10 +90,46 @@ def solution(fringes: FringeSet) -> NDArray[np.float64]:
     return np.where(np.abs(rows) < NEGLIGIBLE, 0.0, rows)
 
 
-def phase_gain(fringes: FringeSet) -> float:
-    """Phase variance per ``sigma^2 / B^2``, averaged over phase: 2/N for equal steps."""
-    rows = solution(fringes)
-    return float((rows[1] ** 2).sum() + (rows[2] ** 2).sum()) / 2.0
+def variance_rad2(
+    fringes: FringeSet, cosine: Lanes, sine: Lanes, variance_dn2: Lanes, slope: float
+) -> Lanes:
+    """Predicted variance of the phase of a least-squares phasor, to first order.
+
+    `variance_dn2` is the samples' mean variance, `slope` how it grows with the digital number. For equal steps this is
+    ``2 sigma^2 / (N B^2)``; with N = 3 the slope adds ``-slope cos(3 phi) / (3 B)``, for then the bright steps' noise does
+    not average out.
+    """
+    rows, shifts = solution(fringes)[1:], np.asarray(fringes.shifts_rad)
+    # phi moves by (cosine rows[1] - sine rows[0]) / B^2 per DN of a step: its square, times constants per step
+    waves = np.stack([np.cos(shifts), -np.sin(shifts)])
+    square = {(2, 0): rows[1] ** 2, (1, 1): -2.0 * rows[0] * rows[1], (0, 2): rows[0] ** 2}
+    even = {power: float(step.sum()) for power, step in square.items()}
+    odd: dict[tuple[int, int], float] = {}
+    for (i, j), step in square.items():
+        for di, wave in enumerate(waves[::-1]):
+            power = (i + di, j + 1 - di)
+            odd[power] = odd.get(power, 0.0) + float(slope * (step * wave).sum())
+    power2 = cosine * cosine + sine * sine
+    total = variance_dn2 * _polynomial(even, cosine, sine, power2)
+    if any(abs(c) > NEGLIGIBLE for c in odd.values()):
+        total = total + _polynomial(odd, cosine, sine, power2)
+    return total / (power2 * power2)
+
+
+def _polynomial(
+    coefficients: dict[tuple[int, int], float], cosine: Lanes, sine: Lanes, power2: Lanes
+) -> Lanes:
+    """Sum of ``c cosine^i sine^j``; a circle's ``c (cosine^2 + sine^2)`` in one product."""
+    c = {power: value for power, value in coefficients.items() if abs(value) > NEGLIGIBLE}
+    if c.keys() == {(2, 0), (0, 2)} and abs(c[2, 0] - c[0, 2]) < NEGLIGIBLE:
+        return c[2, 0] * power2
+    total = 0.0
+    for (i, j), value in c.items():
+        term = value
+        for factor in [cosine] * i + [sine] * j:
+            term = term * factor
+        total = total + term
+    return total
 
 
 def weighted_sum(weights: NDArray[np.float64], samples: Sequence[Lanes]) -> Lanes:

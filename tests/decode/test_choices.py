@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import decode
-from decode import fusion
+from decode import fusion, registry
 from decode.phase import Phasor
 from scenes.errors import DecodeError
 from scenes.patterns import PhaseShift
@@ -61,7 +61,7 @@ def test_region_of_interest_has_the_full_decodes_values(
         ({"unwrap": "spacial"}, "unwrap is 'spacial'"),
         ({"height": "triangulate"}, "did you mean 'triangulation'"),
         ({"axis": "row"}, "no row fringes: it has \\['column'\\]"),
-        ({"projector": 3}, "no frames of projector 3"),
+        ({"projector": 3}, "no fringes of projector 3"),
         ({"fusion": "single", "exposure": 1}, "exposure 1 does not exist"),
         ({"exposure": 0}, "use fusion='single'"),
         ({"min_modulation_dn": -1}, "use 0 or more"),
@@ -145,20 +145,22 @@ class Sum(fusion.FusionRule):
 
 def test_rules_of_other_packages_are_found_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     mine = [
-        EntryPoint("sum", f"{__name__}:Sum", fusion.ENTRY_POINT_GROUP),
-        EntryPoint("broken", "no_such_package:Rule", fusion.ENTRY_POINT_GROUP),
-        EntryPoint("alien", "builtins:dict", fusion.ENTRY_POINT_GROUP),
+        EntryPoint("sum", f"{__name__}:Sum", registry.ENTRY_POINT_GROUP),
+        EntryPoint("broken", "no_such_package:Rule", registry.ENTRY_POINT_GROUP),
+        EntryPoint("alien", "builtins:dict", registry.ENTRY_POINT_GROUP),
     ]
-    monkeypatch.setattr(fusion, "entry_points", lambda group: EntryPoints(mine).select(group=group))
+    monkeypatch.setattr(
+        registry, "entry_points", lambda group: EntryPoints(mine).select(group=group)
+    )
     monkeypatch.setattr(EntryPoint, "load", lambda self: {"sum": Sum, "alien": dict}[self.name])
-    assert set(decode.rules()) == {"single", "max-modulation", "sum", "broken", "alien"}
+    assert set(decode.rules()) == {*registry.RULES, "sum", "broken", "alien"}
     rec = decode.reconstruct(exposures((1.0, 2.0), np.ones((48, 64))), fusion="sum")
     assert (rec.exposure == fusion.MERGED).all()
     assert (np.abs(rec.modulation_dn - 150) < 10).all()
     with pytest.raises(DecodeError, match=r"'broken' .* cannot be loaded"):
-        fusion.rule("broken")
+        registry.rule("broken")
     with pytest.raises(DecodeError, match="gives a dict"):
-        fusion.rule("alien")
+        registry.rule("alien")
 
 
 def test_two_projectors_cover_each_others_shadows() -> None:

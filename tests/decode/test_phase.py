@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 import decode
-from decode.phase import FringeSet, fringe_sets, phase_gain, solution
+from decode.phase import FringeSet, fringe_sets, solution
 from scenes.errors import DecodeError
 from scenes.patterns import Frame, PhaseShift
 from scenes.sensor import SimpleSensor
@@ -100,7 +100,7 @@ def test_predicted_phase_noise_is_the_noise_that_comes_out(steps: int, dtype: ty
     stack = Stack(counts[None], shown, (1.0,), sensor)
     rec = decode.reconstruct(stack, height="phase", unwrap="row-scan")
     error = np.angle(np.exp(1j * (rec.wrapped_rad - 2.0 * np.pi * at / 16.0)))
-    variance = phase_gain(equal_steps(steps)) * sensor.noise_model()[0] / modulation**2
+    variance = 2.0 / steps * sensor.noise_model()[0] / modulation**2
     # chi-square interval of 1e-6; linearising atan2 is wrong by a relative sigma_phi^2 = 6e-4 at most
     low, high = stats.chi2.ppf([5e-7, 1 - 5e-7], n) / n
     assert low * (1 - 2e-3) < np.mean(error**2) / variance < high * (1 + 2e-3)
