@@ -102,7 +102,7 @@ def saturation_bias(
     """
     _check(ratios, steps, contrast, noise, relative, phases, repeats, seed)
     times = tuple(float(r) / max(relative) for r in relative)
-    true: Floats = (np.arange(phases) + 0.5) * (TURN / phases) - np.pi
+    true: Floats = np.linspace(-np.pi, np.pi, phases, endpoint=False) + np.pi / phases
     rows = repeats if noise else 1
     shape = (len(ratios), len(steps))
     error = np.full((*shape, phases), np.nan)
