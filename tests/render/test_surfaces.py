@@ -116,4 +116,4 @@ def test_grains_hide_shadow_and_glint() -> None:
     board = np.median(light[truth.region("base")])
     # These pixels, four times as wide as the scene's, average over grains.
     assert light[truth.region("type-3")].max() > 3 * board
-    assert light[truth.region("type-3")].min() < 0.2 * board
+    assert light[truth.region("type-3")].min() < 0.6 * board
