@@ -187,9 +187,9 @@ def _weights(transport: Transport, projector: int, patterns: Patterns) -> Floats
         missing = _missing(wanted, traced, wanted.weights[i], weights[i])
         if missing:
             raise RenderError(
-                f"projector {projector} cannot show step {frame.step} of the {frame.axis} fringe of "
-                f"{frame.period_px:g} px: it needs {missing}, which was not traced (traced: "
-                f"{_names(traced)}); trace the scene again with these patterns"
+                f"projector {projector} cannot show frame {i} ({frame.kind}, {frame.axis}, {frame.period_px:g} px, "
+                f"step {frame.step}): it needs {missing}, which was not traced (traced: {_names(traced)}); "
+                "trace the scene again with these patterns"
             )
     return weights
 

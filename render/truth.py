@@ -26,8 +26,8 @@ from scenes.truth import Truth
 
 Points = NDArray[np.float64]
 
-# Pixels worked on at once: some 200 MB of float64.
-BLOCK = 1 << 20
+# Pixels worked on at once: their float64 numbers stay in the cache, twice as fast as a megapixel at once.
+BLOCK = 1 << 15
 # Light paths per pixel where the share of direct light has to be traced first.
 SAMPLES = 16
 # How far from its surface a shadow ray starts, in scene radii: 50 times float32's rounding of a coordinate.
@@ -153,6 +153,9 @@ class _Surface:
         with np.errstate(invalid="ignore"):
             inside = ((pixel >= 0) & (pixel < (projector.width, projector.height))).all(axis=-1)
         reached: NDArray[np.bool_] = inside & (depth > 0) & ((normal * towards).sum(axis=-1) > 0)
+        if not reached.any():
+            # Mitsuba aborts the process when asked for no rays at all.
+            return reached
         distance = np.linalg.norm(towards[reached], axis=-1)
         # What stands beyond the projector casts no shadow, and neither does what is out of the scene's sphere.
         ray = mi.Ray3f(
@@ -186,12 +189,13 @@ def _direct_fraction(
         )
     shares = []
     for p, basis in enumerate(transport.bases):
-        total, direct = np.zeros(hit.shape), np.zeros(hit.shape)
-        for c, channel in enumerate(basis.channels):
-            # White is the constant channel; of tables (mean square 1, orthogonal), each by its mean.
-            weight = np.mean(channel.values) if channel.values else float(channel.kind == "one")
-            total += weight * transport.total[p, c]
-            direct += weight * transport.direct[p, c]
+        # White is the constant channel; without one, of tables (orthogonal, mean square 1) each by its mean.
+        weights = [float(channel.kind == "one") for channel in basis.channels]
+        if not any(weights):
+            weights = [float(np.mean(channel.values)) for channel in basis.channels]
+        white, count = np.array(weights, np.float32), len(weights)
+        total = np.tensordot(white, transport.total[p, :count], axes=1)
+        direct = np.tensordot(white, transport.direct[p, :count], axes=1)
         bright = hit & (total > 0)
         share = np.full(hit.shape, np.nan, np.float32)
         share[bright] = np.clip(direct[bright] / total[bright], 0.0, 1.0)
