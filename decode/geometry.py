@@ -5,7 +5,7 @@ in the world, where height is z, and in the projector's frame, where the fringe 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -44,6 +44,10 @@ class Ray:
         return _along(self.world_origin, self.world_direction, t)
 
 
+def _invert(value: Real) -> Real:
+    return 1.0 / value
+
+
 @dataclass(frozen=True)
 class Rig:
     """A camera and one projector as numbers: floats for NumPy, or a kernel's arguments for Dr.Jit."""
@@ -51,6 +55,7 @@ class Rig:
     camera: Projection
     projector: Projection
     number: Callable[[float], Real] = float
+    invert: Callable[[Real], Real] = _invert
     camera_steps: int = UNDISTORT_STEPS
     """Newton steps that undo the camera's lens distortion."""
     projector_steps: int = MOST_STEPS
@@ -89,13 +94,13 @@ class Rig:
         i = 0 if axis == "column" else 1
         q, s = ray.local_origin, ray.local_direction
         if self.projector.telecentric:
-            t = (target - q[i]) / s[i]
+            t = (target - q[i]) * self.invert(s[i])
         else:
-            t = (target * q[2] - q[i]) / (s[i] - target * s[2])
+            t = (target * q[2] - q[i]) * self.invert(s[i] - target * s[2])
         if any(self.projector.distortion):
             for _ in range(self.projector_steps):
                 xd, slope = self._lens(ray, t, axis)
-                t = t - (xd - target) / slope
+                t = t - (xd - target) * self.invert(slope)
         return t, self._lens(ray, t, axis)[1] * self.number(focal)
 
     def _lens(self, ray: Ray, t: Real, axis: Axis) -> tuple[Real, Real]:
@@ -103,7 +108,7 @@ class Rig:
         x, y, z = _along(ray.local_origin, ray.local_direction, t)
         dx, dy, dz = ray.local_direction
         if not self.projector.telecentric:
-            scale = 1.0 / z
+            scale = self.invert(z)
             x, y = x * scale, y * scale
             dx, dy = (dx - x * dz) * scale, (dy - y * dz) * scale
         coefficients = self.projector.distortion
@@ -206,11 +211,28 @@ class View:
         slope = rig.coordinate(ray, ray.t_at(middle), axis)[1] / ray.world_direction[2]
         return float(np.median(np.abs(slope)))
 
-    def kernel_rig(self, axis: Axis, number: Callable[[float], Real]) -> Rig:
-        """The rig for a kernel, with as many Newton steps as this lens needs and no more.
+    def kernel_rig(
+        self,
+        axis: Axis,
+        number: Callable[[float], Real] = float,
+        invert: Callable[[Real], Real] = _invert,
+    ) -> Rig:
+        """The rig for a kernel's arithmetic, with as many Newton steps as this lens needs and no more.
 
         Raises `DecodeError` if they do not converge inside the working volume.
         """
+        if axis not in self._steps:
+            self._steps[axis] = self._converging(axis)
+        camera_steps, projector_steps = self._steps[axis]
+        rig = self.rig
+        return Rig(rig.camera, rig.projector, number, invert, camera_steps, projector_steps)
+
+    @cached_property
+    def _steps(self) -> dict[Axis, tuple[int, int]]:
+        return {}
+
+    def _converging(self, axis: Axis) -> tuple[int, int]:
+        """Fewest Newton steps that undo the camera's lens and meet the projector's fringe."""
         rig = self.rig
         columns, rows = self.grid(17)
         exact = rig.ray(columns, rows)
@@ -224,7 +246,7 @@ class View:
             )
 
         def off(camera_steps: int, projector_steps: int) -> float:
-            tried = Rig(rig.camera, rig.projector, float, camera_steps, projector_steps)
+            tried = replace(rig, camera_steps=camera_steps, projector_steps=projector_steps)
             ray = tried.ray(columns, rows)
             worst = 0.0
             for point, inside in zip(points, lit, strict=True):
@@ -240,7 +262,7 @@ class View:
                 camera_steps = min(steps, UNDISTORT_STEPS) if any(rig.camera.distortion) else 0
                 projector_steps = steps if any(rig.projector.distortion) else 0
                 if off(camera_steps, projector_steps) < CONVERGED_MM:
-                    return Rig(rig.camera, rig.projector, number, camera_steps, projector_steps)
+                    return camera_steps, projector_steps
         raise DecodeError(
             f"camera rays and projector {axis}s do not meet within height_range_mm {[low, high]}: the fringes run "
             f"along the baseline, or lens distortion {rig.projector.distortion} folds over there; use the other fringe "

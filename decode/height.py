@@ -51,6 +51,14 @@ class Pixels:
         """A number the kernel takes as an argument: another rig does not compile another kernel."""
         return self.device.dr.opaque(self.real, float(value))
 
+    def invert(self, value: Lanes) -> Lanes:
+        """Reciprocal: a float32 one and a Newton step, which squares its error, cost a third of a float64 division."""
+        real, single = self.real, self.device.types.Float
+        if real is single:
+            return 1.0 / value
+        rough = real(1.0 / single(value))
+        return rough * (2.0 - value * rough)
+
     def _row_col(self) -> tuple[Lanes, Lanes]:
         rows, columns = self.shape
         types = self.device.types
@@ -109,7 +117,7 @@ class Triangulation(HeightModel):
     axis: Axis
 
     def bind(self, pixels: Pixels) -> Solver:
-        rig = self.view.kernel_rig(self.axis, pixels.number)
+        rig = self.view.kernel_rig(self.axis, pixels.number, pixels.invert)
         return _Triangulated(rig, self.axis, *pixels.centres())
 
     def band_px(self, heights_mm: tuple[float, float]) -> float:
@@ -124,7 +132,7 @@ class _Triangulated(Solver):
     def height(self, coordinate_px: Lanes) -> tuple[Lanes, Lanes]:
         t, slope = self.rig.meet(self.ray, coordinate_px, self.axis)
         direction = self.ray.world_direction[2]
-        return self.ray.world_origin[2] + t * direction, direction / slope
+        return self.ray.world_origin[2] + t * direction, direction * self.rig.invert(slope)
 
     def coordinate(self, height_mm: float) -> Lanes:
         at = self.ray.t_at(self.rig.number(height_mm))
@@ -180,7 +188,9 @@ class LinearisedRig(HeightModel):
 
     def bind(self, pixels: Pixels) -> Solver:
         exact = _Triangulated(
-            self.view.kernel_rig(self.axis, pixels.number), self.axis, *pixels.centres()
+            self.view.kernel_rig(self.axis, pixels.number, pixels.invert),
+            self.axis,
+            *pixels.centres(),
         )
         return _Rational(exact.coordinate(0.0), pixels.number(self.c_px_per_mm), 0.0)
 
@@ -205,7 +215,9 @@ class ReferencePlane(HeightModel):
         plane = None if self.reference_px is None else pixels.image_lanes(self.reference_px)
         if self.view is not None:
             exact = _Triangulated(
-                self.view.kernel_rig(self.axis, pixels.number), self.axis, *pixels.centres()
+                self.view.kernel_rig(self.axis, pixels.number, pixels.invert),
+                self.axis,
+                *pixels.centres(),
             )
             return _Rational(exact.coordinate(0.0) if plane is None else plane, *exact.rational())
         return _Rational(plane, pixels.number(self._c()), 0.0)

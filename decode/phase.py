@@ -7,6 +7,7 @@ the solution is the discrete Fourier transform's first bin (Bruning et al. 1974;
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import groupby
 
 import numpy as np
@@ -73,6 +74,7 @@ def fringe_sets(frames: Sequence[Frame], projector: int) -> dict[Axis, tuple[Fri
     return {axis: tuple(found) for axis, found in sets.items()}
 
 
+@lru_cache(maxsize=256)
 def solution(fringes: FringeSet) -> NDArray[np.float64]:
     """Rows that turn the N samples into ``(A, B cos phi, B sin phi)``, (3, N).
 
@@ -87,7 +89,9 @@ def solution(fringes: FringeSet) -> NDArray[np.float64]:
             "different shifts"
         )
     rows = np.linalg.pinv(design)
-    return np.where(np.abs(rows) < NEGLIGIBLE, 0.0, rows)
+    rows = np.where(np.abs(rows) < NEGLIGIBLE, 0.0, rows)
+    rows.flags.writeable = False  # it is shared
+    return rows
 
 
 def variance_rad2(

@@ -259,9 +259,10 @@ class _Kernel:
 
     def _host(self, values: Lanes) -> NDArray[Any]:
         """Lanes as an image of the pixels decoded; one value for all of them is spread."""
-        flat: NDArray[Any] = values.numpy()
-        shape = self.pixels.shape
-        return np.full(shape, flat[0]) if flat.size == 1 else flat.reshape(shape)
+        rows, columns = self.pixels.shape
+        if self.device.dr.width(values) == 1 < rows * columns:
+            values = self.device.dr.full(type(values), values[0], rows * columns)
+        return np.asarray(values.numpy()).reshape(rows, columns)
 
     def _images(self, lanes: dict[str, Lanes]) -> dict[str, NDArray[Any]]:
         """Lanes as images of the whole frame; outside the region of interest NaN, 0 or the code that says so.
