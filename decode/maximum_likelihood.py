@@ -150,7 +150,7 @@ class CensoredMl(MaskedLeastSquares):
         return (
             dr.select(clipped, outside, inside) * time_ms,
             bend,
-            dr.select(clipped & (z > CERTAIN), 0.0, bend),
+            dr.select(high & (z > CERTAIN), 0.0, bend),
         )
 
 
