@@ -57,7 +57,7 @@ def geometry(surfaces: Sequence[Part]) -> dict[str, Any]:
     # Without this, a ray that meets an edge exactly, as pixel centres on a symmetric mesh do, slips between the two
     # triangles. It costs 7 % of a trace at most.
     entries: dict[str, Any] = {"type": "scene", "embree_use_robust_intersections": True}
-    bsdfs = {surface.material: _bsdf(surface.material) for surface in surfaces}
+    bsdfs = {material: _bsdf(material) for material in {s.material: None for s in surfaces}}
     for index, surface in enumerate(surfaces):
         name = f"part_{index}"
         entries[name] = _mesh(name, surface.mesh, bsdfs[surface.material], surface.smooth)

@@ -55,7 +55,7 @@ def trace(
         mi_scene,
         camera,
         [Light(p, optics(p), b.channels) for p, b in zip(scene.projectors, bases, strict=True)],
-        scene.ambient.radiance_w_m2_sr,
+        dr.opaque(mi.Float, glow) if (glow := scene.ambient.radiance_w_m2_sr) > 0 else None,
         depth,
     )
     width, height = scene.camera.resolution
@@ -103,7 +103,8 @@ class _Pass:
     scene: Any
     camera: Optics
     lights: Sequence[Light]
-    ambient: float
+    ambient: Any
+    """Radiance, or None."""
     depth: int
 
     def radiance(
@@ -150,24 +151,24 @@ class _Pass:
         """One path's channels from its first vertex, from its later ones, and its ambient radiance."""
         si = self._intersect(ray, coherent=True, active=True)
         active = si.is_valid()
-        sky = dr.select(active, 0, mi.Float(self.ambient))
+        sky = mi.Float(0) if self.ambient is None else dr.select(active, 0, self.ambient)
         first, ray, weight = self._vertex(si, mi.Float(1), draw, mi.UInt32(0), active)
         later = [mi.Float(0) for _ in first]
-        if self.depth == 1 and not self.ambient:
+        if self.depth == 1 and self.ambient is None:
             return first, later, sky
         deepest = dr.opaque(mi.UInt32, self.depth)
 
         def bounce(vertex: Any, active: Any, onward: Any, later: Any, sky: Any) -> tuple[Any, ...]:
             ray, weight = onward
             si = self._intersect(ray, coherent=False, active=active)
-            if self.ambient:
+            if self.ambient is not None:
                 sky = dr.select(active & ~si.is_valid(), dr.fma(weight, self.ambient, sky), sky)
             active = active & si.is_valid() & (vertex < deepest)
             gains, ray, weight = self._vertex(si, weight, draw, vertex, active)
             later = [a + b for a, b in zip(later, gains, strict=True)]
             vertex = vertex + 1
             active &= weight > 0
-            if not self.ambient:
+            if self.ambient is None:
                 active &= vertex < deepest
             return vertex, active, (ray, weight), later, sky
 

@@ -1,14 +1,17 @@
 """The one place that chooses Mitsuba's variant. Import `mi` and `dr` from here, never directly.
 
-Dr.Jit looks for LLVM once, when it is first imported, so `scenes.backend` must have its say before; and a machine
-without LLVM should be able to import `render` and be told what is missing when it first renders.
+Dr.Jit looks for LLVM once, when it is first imported, so `scenes.backend` must have its say before: importing `render`
+does it, for a user's own ``import mitsuba`` may come next, and an old system LLVM would abort the process. On a machine
+without any LLVM the import passes, and the first use tells what is missing.
 """
 
+import contextlib
 import functools
 import importlib
 from typing import Any
 
 from scenes import backend
+from scenes.errors import BackendError
 
 
 class _Later:
@@ -40,3 +43,7 @@ def use() -> None:
 @functools.cache
 def _chosen() -> backend.Backend:
     return backend.select()
+
+
+with contextlib.suppress(BackendError):
+    _chosen()
