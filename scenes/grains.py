@@ -199,9 +199,7 @@ def pack(
     )
 
 
-def _separate(
-    centres: Floats, radii: Floats, pairs: NDArray[np.intp], overlap: Floats
-) -> Packing:
+def _separate(centres: Floats, radii: Floats, pairs: NDArray[np.intp], overlap: Floats) -> Packing:
     shrunk = np.zeros(len(radii))
     for side in (0, 1):
         np.maximum.at(shrunk, pairs[:, side], overlap / 2)
