@@ -1,0 +1,61 @@
+import numpy as np
+import pytest
+
+from evaluation.equivalence import Estimate, compare, mean_square_bias
+from scenes.errors import ScoreError
+
+
+def test_a_figure_worse_by_more_than_the_margin_is_found_and_one_at_it_rarely_passes() -> None:
+    """At a true difference of exactly the margin, non-inferiority is shown with probability 1 - confidence at most."""
+    rng = np.random.default_rng(5)
+    passed = [
+        compare(
+            Estimate.of(rng.normal(0.3, 1, 8)), Estimate.of(rng.normal(0, 1, 8)), 0.3, 0.95
+        ).passed
+        for _ in range(2000)
+    ]
+    # 5 %, with four standard deviations of 2000 draws
+    assert np.mean(passed) < 0.05 + 4 * np.sqrt(0.05 * 0.95 / 2000)
+    assert np.mean(passed) > 0.02
+
+
+def test_equal_figures_pass_when_repeats_are_enough_and_are_undecided_when_not() -> None:
+    rng = np.random.default_rng(6)
+    for repeats, verdict in ((400, "same"), (3, "undecided")):
+        new, old = (Estimate.of(rng.normal(0, 1, repeats)) for _ in range(2))
+        assert compare(new, old, margin=0.4).verdict == verdict
+
+
+def test_identical_figures_without_scatter_are_the_same() -> None:
+    assert compare(Estimate(0.1, 0, 5), Estimate(0.1, 0, 5), margin=1e-9).verdict == "same"
+
+
+def test_an_improvement_is_told_from_chance() -> None:
+    assert compare(Estimate(0.0, 0.01, 9), Estimate(1.0, 0.01, 9), margin=0.5).verdict == "better"
+    assert compare(Estimate(0.0, 0.9, 9), Estimate(1.0, 0.9, 9), margin=0.5).verdict == "undecided"
+
+
+def test_mean_square_bias_leaves_noise_out() -> None:
+    rng = np.random.default_rng(7)
+    bias = rng.normal(0, 0.3, 20_000)
+    errors = bias + rng.normal(0, 1.0, (6, bias.size))
+    errors[rng.random(errors.shape) < 0.2] = np.nan
+    found = mean_square_bias(errors, range(6))
+    # A pair's product scatters by 1; some 10 pairs a pixel, not independent: a pixel by at most 1/2.
+    assert found == pytest.approx(np.mean(bias**2), abs=4 * 0.5 / np.sqrt(bias.size))
+    assert np.isnan(mean_square_bias(np.full((3, 4), np.nan), range(3)))
+
+
+def test_jackknife_of_a_mean_is_its_standard_error() -> None:
+    values = np.random.default_rng(8).normal(size=12)
+    ours = Estimate.jackknife(lambda used: float(values[used].mean()), 12)
+    assert ours.standard_error == pytest.approx(Estimate.of(values).standard_error, rel=1e-12)
+
+
+def test_too_few_repeats_and_impossible_margins_are_refused() -> None:
+    with pytest.raises(ScoreError, match="at least 2"):
+        Estimate.of([1.0])
+    with pytest.raises(ScoreError, match="at least 3"):
+        Estimate.jackknife(lambda used: 0.0, 2)
+    with pytest.raises(ScoreError, match="margin"):
+        compare(Estimate(0, 0, 2), Estimate(0, 0, 2), margin=0.0)
