@@ -53,6 +53,12 @@ def write(
         **(standard or {}),
     }
     planes = {name: np.ascontiguousarray(plane) for name, plane in channels.items()}
+    shapes = {plane.shape for plane in planes.values()}
+    if len(shapes) != 1 or len(next(iter(shapes))) != 2 or 0 in next(iter(shapes)):
+        raise FileError(
+            f"cannot write '{path}': channels have shapes {sorted(shapes)}; an EXR file holds images (row, col) of "
+            "one size, at least one pixel each"
+        )
     with replacing(path) as beside, _library() as said:
         try:
             OpenEXR.File(header, planes).write(str(beside))

@@ -88,12 +88,11 @@ class Stack:
             exposure_ms = TypeAdapter(tuple[float, ...]).validate_python(meta["exposure_ms"])
             sensor: Sensor = TypeAdapter(Sensor).validate_python(meta["sensor"])
             calibration = meta["calibration"]
-            planes = [
-                [channels[f"E{e:02d}.F{f:03d}"] for f in range(len(patterns))]
-                for e in range(len(exposure_ms))
-            ]
+            frames = _frames(
+                channels, len(exposure_ms), len(patterns), np.dtype(str(meta["dtype"]))
+            )
             return cls(
-                np.array(planes).astype(np.dtype(meta["dtype"]), copy=False),
+                frames,
                 patterns,
                 exposure_ms,
                 sensor,
@@ -105,3 +104,20 @@ class Stack:
             raise FileError(
                 f"'{path}': its stack header or channels are damaged: {error}"
             ) from error
+
+
+def _frames(
+    channels: dict[str, NDArray[Any]], exposures: int, frames: int, dtype: np.dtype[Any]
+) -> NDArray[Any]:
+    """The channels as (exposure, frame, row, col), one by one; `ValueError` unless each is there and whole."""
+    names = [f"E{e:02d}.F{f:03d}" for e in range(exposures) for f in range(frames)]
+    if channels.keys() != set(names):
+        raise ValueError(f"missing or surplus channels: {sorted(channels.keys() ^ set(names))[:4]}")
+    planes = np.empty((len(names), *channels[names[0]].shape), dtype)
+    for name, plane in zip(names, planes, strict=True):
+        stored = channels.pop(name)
+        with np.errstate(invalid="ignore"):
+            plane[:] = stored
+        if dtype.kind != "f" and not np.array_equal(plane, stored):
+            raise ValueError(f"channel {name} holds numbers that are no {dtype}")
+    return planes.reshape(exposures, frames, *planes.shape[1:])
