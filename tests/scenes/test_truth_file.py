@@ -1,0 +1,106 @@
+"""A truth file gives back every map, or a `FileError`."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from scenes import exr
+from scenes.errors import FileError, ScoreError
+from scenes.truth import Truth
+
+PROJECTORS, ROWS, COLUMNS = 3, 9, 7
+
+
+@pytest.fixture
+def truth() -> Truth:
+    rng = np.random.default_rng(0)
+
+    def image(*lead: int, tail: tuple[int, ...] = ()) -> np.ndarray:
+        values = rng.normal(0, 30, (*lead, ROWS, COLUMNS, *tail)).astype(np.float32)
+        values[..., 0, :3] = np.nan
+        return values
+
+    return Truth(
+        image(tail=(3,)),
+        image(tail=(3,)),
+        rng.integers(0, 65536, (ROWS, COLUMNS)).astype(np.uint16),
+        ("base", "Pad-1", "ink_2"),
+        rng.random((PROJECTORS, ROWS, COLUMNS)) < 0.5,
+        image(PROJECTORS),
+        image(PROJECTORS),
+        image(PROJECTORS),
+        'name = "x"\n',
+    )
+
+
+def test_every_map_survives_bit_by_bit(truth: Truth, tmp_path: Path) -> None:
+    truth.write(tmp_path / "t.exr")
+    back = Truth.read(tmp_path / "t.exr")
+    for field in ("xyz_mm", "normal", "label", "lit", "column_px", "row_px", "direct_fraction"):
+        ours, theirs = getattr(truth, field), getattr(back, field)
+        assert ours.dtype == theirs.dtype, field
+        assert ours.shape == theirs.shape, field
+        assert ours.tobytes() == np.ascontiguousarray(theirs).tobytes(), field
+    assert (back.labels, back.scene) == (truth.labels, truth.scene)
+
+
+def test_height_is_the_worlds_z_and_regions_follow_labels(truth: Truth) -> None:
+    assert np.array_equal(truth.height_mm, truth.xyz_mm[..., 2], equal_nan=True)
+    truth.label[:] = 0
+    truth.label[2, 3] = 2
+    assert np.argwhere(truth.region("Pad-1")).tolist() == [[2, 3]]
+    assert not truth.region("base").any()
+    with pytest.raises(ScoreError, match="no label 'Pad1': did you mean 'Pad-1'"):
+        truth.region("Pad1")
+
+
+@pytest.mark.parametrize("gone", ["xyz.Y", "N.Z", "label", "P2.lit", "P0.column", "P1.direct"])
+def test_a_missing_map_is_a_file_error(truth: Truth, tmp_path: Path, gone: str) -> None:
+    path = tmp_path / "t.exr"
+    truth.write(path)
+    channels, meta = exr.read(path, "truth")
+    del channels[gone], meta["format"], meta["version"]
+    exr.write(path, "truth", channels, meta)
+    with pytest.raises(FileError, match=f"damaged.*{gone}"):
+        Truth.read(path)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"projectors": 4},
+        {"projectors": 0},
+        {"projectors": "many"},
+        {"projectors": None},
+        {"labels": 7},
+    ],
+    ids=str,
+)
+def test_a_damaged_header_is_a_file_error(
+    truth: Truth, tmp_path: Path, changes: dict[str, Any]
+) -> None:
+    path = tmp_path / "t.exr"
+    truth.write(path)
+    channels, meta = exr.read(path, "truth")
+    del meta["format"], meta["version"]
+    exr.write(path, "truth", channels, meta | changes)
+    with pytest.raises(FileError, match="truth header or channels are damaged"):
+        Truth.read(path)
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.1, 0.5, 0.99])
+def test_a_truncated_truth_is_a_file_error(truth: Truth, tmp_path: Path, kept: float) -> None:
+    path = tmp_path / "t.exr"
+    truth.write(path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(kept * len(whole))])
+    with pytest.raises(FileError, match="truncated, damaged or no OpenEXR"):
+        Truth.read(path)
+
+
+def test_a_stack_is_no_truth(tmp_path: Path) -> None:
+    exr.write(tmp_path / "s.exr", "stack", {"x": np.zeros((2, 2), np.float32)}, {})
+    with pytest.raises(FileError, match="is a stack file where a truth file is expected"):
+        Truth.read(tmp_path / "s.exr")
