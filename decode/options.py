@@ -14,7 +14,7 @@ from scenes.patterns import Axis
 from scenes.stack import Stack
 
 Unwrap = Literal["temporal", "row-scan", "quality-guided"]
-Anchor = Literal["volume", "field", "spatial"]
+Anchor = Literal["gray", "volume", "field", "spatial"]
 Height = Literal["triangulation", "reference-plane", "linear", "phase"]
 Roi = tuple[int, int, int, int] | NDArray[np.bool_]
 
@@ -32,9 +32,12 @@ class Options:
     unwrap: Unwrap | None = None
     """None: temporal where it is possible, else quality-guided."""
     anchor: Anchor | None = None
-    """What fixes the coarsest period's order in temporal unwrapping. volume: the height range, through the height model
-    (one period suffices if no two heights look alike); field: the period spans the projector's image; spatial: a row
-    scan of the coarsest phase, as the textbook's. None: the first of these that is unambiguous."""
+    """What fixes the coarsest order in temporal unwrapping. gray: the stack's Gray code; volume: the height range,
+    through the height model (one period suffices if no two heights look alike); field: the period spans the projector's
+    image; spatial: a row scan of the coarsest phase, as the textbook's. Periods too fine for gray, volume or field beat
+    with each other (heterodyne). None: the first of these that is unambiguous."""
+    gamma: float | Literal["estimate"] | None = None
+    """Gamma of the response, whose bending of the phase is taken out; estimate: from the fringes' harmonics."""
     height: Height | None = None
     """phase: none, coordinates only. None: triangulation with a calibration, else linear with `c_px_per_mm`."""
     c_px_per_mm: float | None = None
@@ -78,6 +81,10 @@ class Options:
             raise DecodeError(
                 f"height_range_mm is {self.height_range_mm}: give the lowest and the highest height, in that order"
             )
+        if isinstance(self.gamma, str) and self.gamma != "estimate":
+            raise DecodeError(f"gamma is {self.gamma!r}: give a number, or 'estimate'")
+        if isinstance(self.gamma, (int, float)) and not 0.2 <= self.gamma <= 5.0:
+            raise DecodeError(f"gamma is {self.gamma}: use 0.2 to 5")
         if self.reference is not None and self.height != "reference-plane":
             raise DecodeError("a reference is given: use height='reference-plane' with it")
 
@@ -98,7 +105,7 @@ class Options:
 
     def summary(self) -> dict[str, Any]:
         """The choices that shape the numbers, in JSON's types."""
-        named = ("saturation", "anchor", "height", "c_px_per_mm", "projector", "exposure")
+        named = ("saturation", "anchor", "gamma", "height", "c_px_per_mm", "projector", "exposure")
         limits = ("height_range_mm", "min_modulation_dn", "max_order_residual")
         rule = self.fusion if isinstance(self.fusion, str) else repr(self.fusion)
         return {"fusion": rule} | {name: getattr(self, name) for name in named + limits}

@@ -48,13 +48,7 @@ class Phasor:
 
 def fringe_sets(frames: Sequence[Frame], projector: int) -> dict[Axis, tuple[FringeSet, ...]]:
     """A projector's fringe sets by axis, coarsest period first. Raises `DecodeError` if a set gives no phase."""
-    fringes = [(i, f) for i, f in enumerate(frames) if f.kind == "fringe"]
-    mine = [(i, f) for i, f in fringes if f.projector == projector]
-    if not mine:
-        known = sorted({f.projector for _, f in fringes})
-        raise DecodeError(
-            f"the stack has no fringes of projector {projector}: it has some of {known or 'none'}"
-        )
+    mine = [(i, f) for i, f in enumerate(frames) if f.kind == "fringe" and f.projector == projector]
 
     def key(item: tuple[int, Frame]) -> tuple[str, float]:
         return item[1].axis, -item[1].period_px

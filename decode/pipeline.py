@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from decode import fusion, unwrap, validity
+from decode import fusion, gamma, gray, unwrap, validity
 from decode.device import Device, Lanes
 from decode.height import Pixels, Solver
+from decode.ladder import single
 from decode.options import Options
 from decode.phase import FringeSet, Phasor, wrapped
 from decode.plan import Plan
@@ -112,12 +113,14 @@ def _better(one: Reconstruction, two: Reconstruction) -> Reconstruction:
 class _Decoded:
     """One axis, as lanes."""
 
-    finest: FringeSet
+    period_px: float
     phasor: Phasor
     wrapped_rad: Lanes
     order: Lanes
     residuals: list[Lanes]
     usable: Lanes
+    sigma_px: Lanes
+    """Predicted standard deviation of the coordinate."""
 
 
 class _Kernel:
@@ -170,7 +173,7 @@ class _Kernel:
         images = self._images(lanes)
         phases = {
             axis: AxisPhase(
-                decoded.finest.period_px, images.pop(f"{axis}.wrapped"), images.pop(f"{axis}.order")
+                decoded.period_px, images.pop(f"{axis}.wrapped"), images.pop(f"{axis}.order")
             )
             for axis, decoded in axes.items()
         }
@@ -183,26 +186,104 @@ class _Kernel:
         )
 
     def _axis(self, axis: Axis) -> _Decoded:
-        device, sets = self.device, self.plan.sets[axis]
-        way = self.plan.ways[axis]
+        device, plan = self.device, self.plan
+        sets, way, rungs = plan.sets[axis], plan.ways[axis], plan.rungs[axis]
         if way in ("row-scan", "quality-guided"):
-            sets = sets[-1:]
-        phasors = [self.rule.fuse(self._samples(fringes)) for fringes in sets]
-        phases = [wrapped(device, phasor) for phasor in phasors]
-        if way in ("volume", "field"):
+            sets, rungs = sets[-1:], single([sets[-1].period_px])
+        samples = [self._samples(fringes) for fringes in sets]
+        cell = self._cell(axis, samples) if way == "gray" else None
+        if not sets:
+            assert cell is not None  # an axis has fringes or Gray code
+            return self._coded(axis, cell)
+        phasors = [self.rule.fuse(taken) for taken in samples]
+        phases = [self._phase(*pair) for pair in zip(sets, phasors, strict=True)]
+        lifted = [rung.phase(device, phases) for rung in rungs]
+        residuals = []
+        if cell is not None:
+            order, residual = self._on_cell(axis, cell, lifted[0], rungs[0].period_px)
+            residuals.append(residual)
+        elif way in ("volume", "field"):
             expected = self._expected(axis, way == "field")
-            order = unwrap.anchored(device, phases[0], sets[0].period_px, expected)
+            order = unwrap.anchored(device, lifted[0], rungs[0].period_px, expected)
         else:
             order = self._scanned(axis, sets[0], phasors[0], phases[0])
-        residuals = []
-        for k in range(1, len(sets)):
-            ratio = sets[k - 1].period_px / sets[k].period_px
-            order, residual = unwrap.climb(device, phases[k - 1], order, ratio, phases[k])
+        for k in range(1, len(rungs)):
+            ratio = rungs[k - 1].period_px / rungs[k].period_px
+            order, residual = unwrap.climb(device, lifted[k - 1], order, ratio, lifted[k])
             residuals.append(residual)
         usable = phasors[0].usable
         for phasor in phasors[1:]:
             usable = usable & phasor.usable
-        return _Decoded(sets[-1], phasors[-1], phases[-1], order, residuals, usable)
+        period = sets[-1].period_px
+        sigma_px = device.dr.sqrt(phasors[-1].variance_rad2) * (period / unwrap.TURN)
+        return _Decoded(period, phasors[-1], phases[-1], order, residuals, usable, sigma_px)
+
+    def _phase(self, fringes: FringeSet, phasor: Phasor) -> Lanes:
+        """Wrapped phase, gamma undone."""
+        phase = wrapped(self.device, phasor)
+        power = self.plan.gamma
+        return phase if power is None else gamma.correct(self.device, phase, power, fringes)
+
+    def _cell(self, axis: Axis, samples: list[fusion.Samples]) -> gray.GrayCell:
+        """The Gray cell of every pixel; where the code has no thresholds of its own, the fringes' offset serves."""
+        stack, at = self.plan.stack, self.pixels.flat()
+        offsets = None
+        if samples:
+            offsets = [samples[-1].phasor(e).offset for e in range(len(stack.exposure_ms))]
+        return gray.decode(
+            self.device,
+            self.plan.gray[axis],
+            stack,
+            lambda image: self.device.plane(image, at),
+            offsets,
+        )
+
+    def _on_cell(
+        self, axis: Axis, cell: gray.GrayCell, phase: Lanes, period_px: float
+    ) -> tuple[Lanes, Lanes]:
+        """Order nearest the Gray cell, and how much of the margin beside the cell the phase takes: 0.5 for all of it."""
+        dr, real = self.device.dr, self.device.types.Float
+        turns = cell.centre_px * (1.0 / period_px) - phase * (1.0 / unwrap.TURN)
+        whole = dr.round(turns)
+        margin = max(0.5 - 0.5 * self.plan.gray[axis].cell_px / period_px, 1e-3)
+        outside = dr.abs(turns - whole) - cell.width_px * (0.5 / period_px)
+        residual = dr.maximum(outside, 0.0) * (0.5 / margin)
+        known = cell.sure & (cell.width_px <= period_px * 1.001) & self._in_field(axis, cell)
+        return self.device.types.Int32(whole), dr.select(known, residual, real(1.0))
+
+    def _in_field(self, axis: Axis, cell: gray.GrayCell) -> Lanes:
+        """Where the code names a cell the projector has."""
+        field = self.plan.field_px(axis)
+        return cell.centre_px - 0.5 * cell.width_px < (field if np.isfinite(field) else 1e9)
+
+    def _coded(self, axis: Axis, cell: gray.GrayCell) -> _Decoded:
+        """An axis of Gray code alone: the cell's middle, as a phase of the cell's width."""
+        dr, types = self.device.dr, self.device.types
+        period = self.plan.gray[axis].cell_px
+        turns = cell.centre_px * (1.0 / period)
+        order = dr.round(turns)
+        wrapped_rad = (turns - order) * unwrap.TURN
+        known = cell.sure & self._in_field(axis, cell)
+        phasor = Phasor(
+            cosine=cell.contrast,
+            sine=types.Float(0.0),
+            offset=cell.offset,
+            variance_rad2=cell.contrast_variance,
+            usable=types.Bool(True),
+            exposure=cell.exposure,
+        )
+        mismatch = dr.select(known, types.Float(0.0), types.Float(1.0))
+        # (-0.5, 0.5] turns of rounding become [-0.5, 0.5)
+        edge = wrapped_rad >= float(np.float32(np.pi))
+        return _Decoded(
+            period,
+            phasor,
+            dr.select(edge, -float(np.float32(np.pi)), wrapped_rad),
+            types.Int32(dr.select(edge, order + 1.0, order)),
+            [mismatch],
+            phasor.usable,
+            gray.cell_sigma_px(cell.width_px, self.device),
+        )
 
     def _samples(self, fringes: FringeSet) -> fusion.Samples:
         stack, at = self.plan.stack, self.pixels.flat()
@@ -226,11 +307,10 @@ class _Kernel:
     def _height(self, solver: Solver, measured: _Decoded) -> tuple[Lanes, Lanes]:
         """Height and its predicted standard deviation, float32."""
         dr, real = self.device.dr, self.device.types.Float
-        period = measured.finest.period_px
+        period = measured.period_px
         at = unwrap.coordinate(self.device, measured.wrapped_rad, measured.order, period)
         height, slope = solver.height(at)
-        sigma_px = dr.sqrt(measured.phasor.variance_rad2) * (period / unwrap.TURN)
-        return real(height), sigma_px * dr.abs(real(slope))
+        return real(height), measured.sigma_px * dr.abs(real(slope))
 
     def _expected(self, axis: Axis, field: bool) -> Lanes:
         """Coordinate in the middle of what each pixel can show, float32."""

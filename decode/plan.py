@@ -7,8 +7,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from decode import gamma
 from decode.geometry import View
+from decode.gray import GraySet, gray_sets
 from decode.height import HeightModel, Linear, LinearisedRig, ReferencePlane, Triangulation
+from decode.ladder import Rung, ladder, single
 from decode.options import Options
 from decode.phase import FringeSet, fringe_sets
 from scenes.errors import DecodeError
@@ -18,8 +21,8 @@ from scenes.stack import Stack
 # Heights this fraction of the working volume outside it are still accepted: noise on its faces.
 VOLUME_MARGIN = 0.05
 
-Way = Literal["volume", "field", "spatial", "row-scan", "quality-guided"]
-"""How an axis is unwrapped: the first three anchor temporal unwrapping."""
+Way = Literal["gray", "volume", "field", "spatial", "row-scan", "quality-guided"]
+"""How an axis is unwrapped: the first four anchor temporal unwrapping."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,8 +37,34 @@ class Plan:
 
     @cached_property
     def sets(self) -> dict[Axis, tuple[FringeSet, ...]]:
-        """Fringe sets by axis, coarsest first."""
-        return fringe_sets(self.stack.patterns, self.projector)
+        """Fringe sets by axis, coarsest first; none where an axis has only Gray code.
+
+        Raises `DecodeError` if the projector shows neither.
+        """
+        frames = self.stack.patterns
+        sets = fringe_sets(frames, self.projector)
+        for axis in self.gray:
+            sets.setdefault(axis, ())
+        if not sets:
+            coded = {f.projector for f in frames if f.kind in ("fringe", "gray")}
+            raise DecodeError(
+                f"the stack has no fringes of projector {self.projector} and no Gray code: it has some of "
+                f"{sorted(coded) or 'none'}"
+            )
+        return sets
+
+    @cached_property
+    def gray(self) -> dict[Axis, GraySet]:
+        """Gray codes by axis."""
+        return gray_sets(self.stack.patterns, self.projector)
+
+    @cached_property
+    def gamma(self) -> float | None:
+        """The gamma to undo."""
+        wanted = self.options.gamma
+        if wanted == "estimate":
+            return gamma.estimate(self.stack, self.projector)
+        return None if wanted is None else float(wanted)
 
     @cached_property
     def view(self) -> View | None:
@@ -105,7 +134,29 @@ class Plan:
     @property
     def scans(self) -> bool:
         """Whether an axis is scanned over the image, which must then be decoded whole."""
-        return any(way not in ("volume", "field") for way in self.ways.values())
+        return any(way not in ("gray", "volume", "field") for way in self.ways.values())
+
+    @cached_property
+    def rungs(self) -> dict[Axis, tuple[Rung, ...]]:
+        """The phases that carry each axis' order down to its finest fringes."""
+        return {axis: self._rungs(axis, way) for axis, way in self.ways.items()}
+
+    def _rungs(self, axis: Axis, way: Way) -> tuple[Rung, ...]:
+        periods = [fringes.period_px for fringes in self.sets[axis]]
+        found = None
+        if way == "gray" and periods:
+            found = self._on_gray(axis)
+        elif way == "field":
+            found = ladder(periods, self.field_px(axis))
+        elif way == "volume":
+            found = ladder(periods, self.band_px(axis))
+        return found or single(periods)
+
+    def _on_gray(self, axis: Axis) -> tuple[Rung, ...] | None:
+        periods = [fringes.period_px for fringes in self.sets[axis]]
+        cell = self.gray[axis].cell_px * (1.0 - 1e-9)
+        # twice the cell forgives an error of half a cell at its border
+        return ladder(periods, 2.0 * cell) or ladder(periods, cell)
 
     def field_px(self, axis: Axis) -> float:
         """Size of the projector's image along an axis; infinite if unknown."""
@@ -114,20 +165,46 @@ class Plan:
         projector = self.view.rig.projector
         return float(projector.width if axis == "column" else projector.height)
 
+    def band_px(self, axis: Axis) -> float:
+        """Largest range of coordinates that one pixel can show within the volume; infinite if unknown."""
+        locator = self.locator(axis)
+        if locator is None or self.volume_mm is None:
+            return float("inf")
+        return locator.band_px(self.volume_mm)
+
     def _way(self, axis: Axis) -> Way:
         wanted, anchor = self.options.unwrap, self.options.anchor
+        periods = [fringes.period_px for fringes in self.sets[axis]]
+        if not periods:
+            if wanted in ("row-scan", "quality-guided") or anchor not in (None, "gray"):
+                raise DecodeError(
+                    f"the {axis}s have Gray code alone, which needs no unwrapping: leave out unwrap and anchor"
+                )
+            return "gray"
         if wanted in ("row-scan", "quality-guided"):
             return wanted
-        why_not = {"volume": self._no_volume(axis), "field": self._no_field(axis), "spatial": ""}
+        why_not: dict[Way, str] = {
+            "gray": self._no_gray(axis),
+            "volume": self._no_volume(axis),
+            "field": self._no_field(axis),
+            "spatial": "",
+        }
         if anchor is not None:
             if why_not[anchor]:
                 raise DecodeError(f"anchor '{anchor}': {why_not[anchor]}")
             return anchor
-        if not why_not["volume"]:
-            return "volume"
-        if not why_not["field"]:
-            return "field"
-        if len(self.sets[axis]) > 1:
+        # a measured period that is wide enough goes before one that is only computed
+        fits: tuple[tuple[Way, bool], ...] = (
+            ("gray", True),
+            ("volume", self.band_px(axis) < periods[0]),
+            ("field", self.field_px(axis) <= periods[0]),
+            ("volume", True),
+            ("field", True),
+        )
+        for way, fit in fits:
+            if fit and not why_not[way]:
+                return way
+        if len(periods) > 1:
             return "spatial"
         if wanted == "temporal":
             raise DecodeError(
@@ -136,23 +213,35 @@ class Plan:
             )
         return "quality-guided"
 
+    def _no_gray(self, axis: Axis) -> str:
+        """Why the Gray code does not fix the order; empty if it does."""
+        if axis not in self.gray:
+            return f"the stack has no {axis} Gray code"
+        if self._on_gray(axis) is None:
+            return (
+                f"a cell of the Gray code is {self.gray[axis].cell_px:g} px wide, more than the coarsest {axis} period of "
+                f"{self.sets[axis][0].period_px:g} px or any beat of the periods: use cells of half a period"
+            )
+        return ""
+
     def _no_volume(self, axis: Axis) -> str:
         """Why heights do not fix the coarsest order; empty if they do."""
-        locator, coarsest = self.locator(axis), self.sets[axis][0].period_px
-        if locator is None or self.volume_mm is None:
+        if self.locator(axis) is None or self.volume_mm is None:
             return "the heights to expect are unknown (height_range_mm, with a calibration or c_px_per_mm)"
-        band = locator.band_px(self.volume_mm)
-        if band < coarsest:
+        periods = [fringes.period_px for fringes in self.sets[axis]]
+        band = self.band_px(axis)
+        if band < periods[0] or ladder(periods, band) is not None:
             return ""
         low, high = self.volume_mm
         return (
             f"heights from {low:g} to {high:g} mm shift the {axis} fringe by {band:.1f} px, "
-            f"more than its coarsest period of {coarsest:g} px"
+            f"more than its coarsest period of {periods[0]:g} px"
         )
 
     def _no_field(self, axis: Axis) -> str:
         """Why the coarsest period alone is ambiguous; empty if it is not."""
-        field, coarsest = self.field_px(axis), self.sets[axis][0].period_px
-        if coarsest >= field:
+        field = self.field_px(axis)
+        periods = [fringes.period_px for fringes in self.sets[axis]]
+        if np.isfinite(field) and ladder(periods, field) is not None:
             return ""
-        return f"its coarsest period of {coarsest:g} px is less than the projector's {field:g} px"
+        return f"its coarsest period of {periods[0]:g} px is less than the projector's {field:g} px"

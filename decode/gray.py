@@ -1,0 +1,198 @@
+"""Gray code: which cell of the projector lights a pixel, bit by bit, and how far that can be trusted.
+
+A bit is the sign of frame minus inverse, summed over exposures (a clipped pair adds nothing, a half clipped one the right
+sign); without inverses, of frame minus the pixel's own threshold: the mean of white and black, else the offset of the
+fringes, else the middle between the brightest and the darkest frame of the code. A bit weaker than `SURE` standard
+deviations of its noise is unsure. Neighbouring cells differ in one bit, so one unsure bit, a pixel astride an edge, leaves
+the code right to one cell. Unsure bits at the fine end (blur) make the cell wider; any other two make it worthless.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from decode.device import Device, Lanes
+from scenes.errors import DecodeError
+from scenes.patterns import Axis, Frame
+from scenes.stack import Stack
+
+# A bit flipped by noise alone at five standard deviations: three pixels in ten million.
+SURE = 5.0
+# Fine bits that may be lost to blur before the code is no measurement any more.
+MOST_LOST = 3
+
+
+@dataclass(frozen=True)
+class GraySet:
+    """The Gray code frames of one axis and projector: indices into the stack's frames."""
+
+    axis: Axis
+    cell_px: float
+    direct: tuple[int | None, ...]
+    """Frame of each bit, most significant first."""
+    inverse: tuple[int | None, ...]
+    """Frame of each bit's inverse."""
+    white: int | None
+    black: int | None
+
+    @property
+    def bits(self) -> int:
+        """Length of the code."""
+        return len(self.direct)
+
+
+@dataclass(frozen=True)
+class GrayCell:
+    """The decoded code of every pixel, as lanes."""
+
+    centre_px: Lanes
+    """Middle of the cell, float32."""
+    width_px: Lanes
+    """Width of the cell that is sure, float32."""
+    sure: Lanes
+    """False where the code may be off by more than a cell."""
+    contrast: Lanes
+    """Half of the largest difference between bright and dark, DN."""
+    offset: Lanes
+    """Mean of bright and dark, DN, black level included."""
+    contrast_variance: Lanes
+    """Variance of a bit's half difference, relative to `contrast` squared: 1 / (signal to noise) ** 2."""
+    exposure: Lanes
+    """The exposure of largest contrast."""
+
+
+def gray_sets(frames: Sequence[Frame], projector: int) -> dict[Axis, GraySet]:
+    """A projector's Gray codes by axis. Raises `DecodeError` if a bit is missing or shown twice."""
+    mine = [(i, f) for i, f in enumerate(frames) if f.projector == projector]
+    flat = {f.kind: i for i, f in mine if f.kind in ("white", "black")}
+    sets: dict[Axis, GraySet] = {}
+    for axis in dict.fromkeys(f.axis for _, f in mine if f.kind == "gray"):
+        code = [(i, f) for i, f in mine if f.kind == "gray" and f.axis == axis]
+        bits, cell_px = code[0][1].steps, code[0][1].period_px
+        places: dict[tuple[int, bool], int] = {}
+        for i, f in code:
+            key = (f.step, f.inverted)
+            if (f.steps, f.period_px) != (bits, cell_px) or key in places or f.step >= bits:
+                raise DecodeError(
+                    f"the {axis} Gray code shows bit {f.step} of {f.steps} (cell {f.period_px:g} px) where it has "
+                    f"{bits} bits of {cell_px:g} px: give one code an axis, each bit once"
+                )
+            places[key] = i
+        direct, inverse = (
+            tuple(places.get((bit, flip)) for bit in range(bits)) for flip in (False, True)
+        )
+        lost = [bit for bit in range(bits) if direct[bit] is None and inverse[bit] is None]
+        if lost:
+            raise DecodeError(f"the {axis} Gray code of {bits} bits lacks bits {lost}")
+        sets[axis] = GraySet(axis, cell_px, direct, inverse, flat.get("white"), flat.get("black"))
+    return sets
+
+
+def decode(
+    device: Device,
+    gray: GraySet,
+    stack: Stack,
+    plane: Callable[[Any], Lanes],
+    fringe_offset: Sequence[Lanes] | None = None,
+) -> GrayCell:
+    """Decode one axis. `plane` turns an image into lanes; `fringe_offset` is the fringes' mean of each exposure, DN."""
+    dr, types = device.dr, device.types
+    noise = [stack.sensor.noise_model(ms) for ms in stack.exposure_ms]
+    black = stack.sensor.black_level_dn
+    signals: list[Lanes] = [types.Float(0.0)] * gray.bits
+    variance = types.Float(0.0)
+    best = offset = types.Float(0.0)
+    exposure = types.UInt32(0)
+    for e, frames in enumerate(stack.frames):
+        threshold = None
+        if None in gray.direct or None in gray.inverse:
+            threshold = _threshold(device, gray, frames, plane, fringe_offset and fringe_offset[e])
+        largest, middle = types.Float(0.0), types.Float(0.0)
+        for bit in range(gray.bits):
+            difference, mean = _difference(gray, bit, frames, plane, threshold)
+            signals[bit] = signals[bit] + difference
+            strength = dr.abs(difference)
+            middle = dr.select(strength > largest, mean, middle)
+            largest = dr.maximum(largest, strength)
+        constant, slope = noise[e]
+        variance = variance + 2.0 * (constant + slope * dr.maximum(middle - black, 0.0))
+        better = largest > best
+        best, offset = dr.select(better, largest, best), dr.select(better, middle, offset)
+        exposure = dr.select(better, types.UInt32(e), exposure)
+    limit = SURE * dr.sqrt(variance)
+    return _cells(device, gray, signals, limit, best, offset, variance, exposure)
+
+
+def _difference(
+    gray: GraySet, bit: int, frames: Any, plane: Callable[[Any], Lanes], threshold: Lanes | None
+) -> tuple[Lanes, Lanes]:
+    """Bright minus dark of one bit, signed, and their mean."""
+    direct, inverse = gray.direct[bit], gray.inverse[bit]
+    if direct is not None and inverse is not None:
+        one, other = plane(frames[direct]), plane(frames[inverse])
+        return one - other, 0.5 * (one + other)
+    index, sign = (direct, 2.0) if direct is not None else (inverse, -2.0)
+    assert index is not None and threshold is not None  # `gray_sets` and `decode` saw to it
+    return sign * (plane(frames[index]) - threshold), threshold
+
+
+def _threshold(
+    device: Device,
+    gray: GraySet,
+    frames: Any,
+    plane: Callable[[Any], Lanes],
+    fringe_offset: Lanes | None,
+) -> Lanes:
+    if gray.white is not None and gray.black is not None:
+        return 0.5 * (plane(frames[gray.white]) + plane(frames[gray.black]))
+    if fringe_offset is not None:
+        return fringe_offset
+    shown = [plane(frames[i]) for i in (*gray.direct, *gray.inverse) if i is not None]
+    low = high = shown[0]
+    for values in shown[1:]:
+        low, high = device.dr.minimum(low, values), device.dr.maximum(high, values)
+    return 0.5 * (low + high)
+
+
+def _cells(
+    device: Device,
+    gray: GraySet,
+    signals: Sequence[Lanes],
+    limit: Lanes,
+    best: Lanes,
+    offset: Lanes,
+    variance: Lanes,
+    exposure: Lanes,
+) -> GrayCell:
+    dr, types = device.dr, device.types
+    one, zero = types.UInt32(1), types.UInt32(0)
+    value, parity = zero, types.Bool(False)
+    for signal in signals:
+        parity = parity ^ (signal > 0.0)
+        value = (value << 1) | dr.select(parity, one, zero)
+    # unsure bits counted from the fine end, and the others
+    lost, others, run = zero, zero, types.Bool(True)
+    for signal in reversed(signals):
+        unsure = dr.abs(signal) < limit
+        run = run & unsure
+        lost = lost + dr.select(run, one, zero)
+        others = others + dr.select(unsure & ~run, one, zero)
+    width = types.Float(one << lost)
+    start = types.Float((value >> lost) << lost)
+    contrast = 0.5 * best
+    return GrayCell(
+        centre_px=(start + 0.5 * width) * gray.cell_px,
+        width_px=width * gray.cell_px,
+        sure=(others <= 1) & (lost <= min(MOST_LOST, gray.bits - 1)),
+        contrast=contrast,
+        offset=offset,
+        contrast_variance=0.25 * variance / dr.square(contrast),
+        exposure=exposure,
+    )
+
+
+def cell_sigma_px(width_px: Lanes, device: Device) -> Lanes:
+    """Standard deviation of a coordinate known to lie in a cell: its width over the square root of 12."""
+    return width_px * float(np.sqrt(1.0 / 12.0))
