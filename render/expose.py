@@ -95,7 +95,7 @@ def expose(
         scene.sensor,
         Calibration.of(scene),
         dumps(scene),
-        seed if noise else None,
+        int(seed) if noise else None,
     )
 
 

@@ -12,7 +12,7 @@ import render
 import scenes
 from render.sensor import Noise, digital_numbers
 from scenes.errors import RenderError
-from scenes.patterns import PhaseShift
+from scenes.patterns import GrayCode, PhaseShift
 from scenes.scene import AutoExposure, Exposures
 from scenes.sensor import Emva, SimpleSensor
 
@@ -64,7 +64,7 @@ def projector_pixels(scene: scenes.Scene) -> tuple[np.ndarray, np.ndarray]:
     return rng.uniform(0, width, shape), rng.uniform(0, height, shape)
 
 
-def emitted(scene: scenes.Scene, patterns: PhaseShift, projector: int = 0) -> np.ndarray:
+def emitted(scene: scenes.Scene, patterns: PhaseShift | GrayCode, projector: int = 0) -> np.ndarray:
     """What each camera pixel's projector pixel emits, (frame, row, col), from the patterns' definition."""
     device = scene.projectors[projector]
     images = []
@@ -165,6 +165,23 @@ def test_a_pixelated_projector_shows_subsets_of_its_patterns_and_refuses_others(
     ):
         with pytest.raises(RenderError, match=r"outside the span.*\d+ tables.*trace the scene"):
             render.expose(light, patterns=outside)
+
+
+def test_gray_code_and_fringes_share_a_transport() -> None:
+    gray = {"bits": 7, "inverted": True, "flat": True}
+    light = transport(**{"patterns.periods_px": [16.0], "patterns.gray": gray})
+    stack = render.expose(light, sensor=IDEAL, exposures=[0.5])
+    white = next(c for c, channel in enumerate(light.bases[0].channels) if channel.kind == "one")
+    albedo = light.total[0, white].astype(float)
+    expected = 10.0 + albedo * emitted(light.scene, light.scene.patterns) + light.ambient
+    # Tables of Gray code have entries up to the root of their number of pixels.
+    np.testing.assert_allclose(stack.frames[0], expected, atol=rounding(light) + 2e-6)
+    fringes = light.scene.patterns.model_copy(update={"gray": None, "steps": 5})
+    alone = render.expose(light, sensor=IDEAL, exposures=[0.5], patterns=fringes)
+    assert alone.frames.shape[1] == 5
+    finer = GrayCode(bits=(9,), cell_px=2.0)
+    with pytest.raises(RenderError, match=r"gray, column, 2 px.*outside the span"):
+        render.expose(light, patterns=finer)
 
 
 def test_projectors_follow_each_other_in_the_scenes_frame_order() -> None:
