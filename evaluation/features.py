@@ -35,7 +35,9 @@ TOP_COSINE = 0.985
 BISQUARE = 4.685
 # The median absolute deviation of a Gaussian is its standard deviation over this.
 MAD_TO_SIGMA = 1.4826
-FIT_STEPS = 50
+FIT_STEPS = 25
+# Steps this small against the noise no longer matter.
+CONVERGED = 1e-4
 # Heights that agree to a picometre are exact.
 EXACT_MM = 1e-9
 
@@ -81,20 +83,26 @@ def robust_fit(design: Floats, values: Floats) -> Floats | None:
     # A fit that has hardly more points than coefficients says nothing of its own noise.
     if len(design) < 3 * count or np.linalg.matrix_rank(design) < count:
         return None
+    # In an orthonormal basis the normal equations lose nothing, and are small.
+    basis, to_basis = np.linalg.qr(design)
     weights = np.ones(len(values))
-    solution: Floats = np.zeros(count)
-    for step in range(FIT_STEPS):
-        root = np.sqrt(weights)
-        solution = np.asarray(np.linalg.lstsq(design * root[:, None], values * root)[0])
-        residual = np.abs(values - design @ solution)
-        scale = MAD_TO_SIGMA * float(np.median(residual))
-        if scale < EXACT_MM:
-            break
-        if step < FIT_STEPS // 2:
-            weights = 1.0 / np.maximum(residual, 1e-3 * scale)
-        else:
-            weights = np.clip(1.0 - (residual / (BISQUARE * scale)) ** 2, 0.0, None) ** 2
-    return solution
+    inner = fitted = np.zeros(0)
+    for robust in (False, True):
+        for _ in range(FIT_STEPS):
+            weighted = basis * weights[:, None]
+            inner, before = np.linalg.solve(weighted.T @ basis, weighted.T @ values), fitted
+            fitted = basis @ inner
+            residual = np.abs(values - fitted)
+            scale = MAD_TO_SIGMA * float(np.median(residual))
+            if scale < EXACT_MM:
+                break
+            if robust:
+                weights = np.clip(1.0 - (residual / (BISQUARE * scale)) ** 2, 0.0, None) ** 2
+            else:
+                weights = 1.0 / np.maximum(residual, 1e-3 * scale)
+            if before.size and np.abs(fitted - before).max() < CONVERGED * scale:
+                break
+    return np.asarray(np.linalg.solve(to_basis, inner))
 
 
 def _near_apex(truth: Truth, lit: Mask) -> Mask:
