@@ -35,7 +35,7 @@ from scenes.errors import FileError, nearest
 from scenes.frozen import Frozen
 from scenes.patterns import Axis, Bits, Frame, gray_frames
 from scenes.rig import Resolution
-from scenes.sensor import SimpleSensor
+from scenes.sensor import Sensor, SimpleSensor
 from scenes.stack import Stack
 
 
@@ -148,6 +148,17 @@ class Capture(Frozen):
     projector_resolution: Resolution | None = None
     """Columns, rows of the projector; absent: the calibration's."""
     calibration: opencv_calibration.Source | None = None
+    """OpenCV's files."""
+    rig: Calibration | None = None
+    """The rig in this project's own form, as `fringebench export` writes it; instead of `calibration`."""
+    sensor: Sensor | None = None
+    """The whole noise model, as `fringebench export` writes it; instead of `saturation_dn`, `dark_dn` and `noise_dn`."""
+
+    @model_validator(mode="after")
+    def _one_rig(self) -> Self:
+        if self.calibration is not None and self.rig is not None:
+            raise ValueError("both calibration and rig are given: keep one of them")
+        return self
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -203,7 +214,7 @@ class Capture(Frozen):
         flat = images.read([path for row in paths for path in row], self.channel)
         frames = flat.reshape(len(paths), len(paths[0]), *flat.shape[1:])
         check_depth(frames, self.bits)
-        sensor = SimpleSensor(
+        sensor: Sensor = self.sensor or SimpleSensor(
             bits=self.bits,
             black_level_dn=self.dark_dn,
             sigma_dn=self.noise_dn or noise_dn(frames),
@@ -214,7 +225,7 @@ class Capture(Frozen):
 
     def _rig(self, size: tuple[int, int]) -> Calibration | None:
         if self.calibration is None:
-            return None
+            return self.rig
         return self.calibration.calibration(size, self.projector_resolution)
 
 
