@@ -86,8 +86,9 @@ def robust_fit(design: Floats, values: Floats) -> Floats | None:
     # In an orthonormal basis the normal equations lose nothing, and are small.
     basis, to_basis = np.linalg.qr(design)
     weights = np.ones(len(values))
-    inner = fitted = np.zeros(0)
+    inner = np.zeros(count)
     for robust in (False, True):
+        fitted = np.zeros(0)
         for _ in range(FIT_STEPS):
             weighted = basis * weights[:, None]
             inner, before = np.linalg.solve(weighted.T @ basis, weighted.T @ values), fitted
