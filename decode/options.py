@@ -54,6 +54,9 @@ class Options:
     """(row0, row1, col0, col1), ends exclusive, or a boolean mask (row, col)."""
     min_modulation_dn: float | None = None
     """Modulation below which a pixel is dark. None: eight standard deviations of its noise (1/8 rad)."""
+    min_relative_modulation: float = 0.02
+    """Modulation per exposure time, as a fraction of the image's median, below which light is taken for stray light in
+    a shadow: black ink sends back 5 % or more of what its surroundings do. 0: never."""
     max_order_residual: float = 0.25
     """How far from a whole number, in periods, a predicted order may be; 0.5 accepts all."""
     backend: Literal["llvm", "cuda"] | None = None
@@ -75,6 +78,10 @@ class Options:
             )
         if self.min_modulation_dn is not None and not self.min_modulation_dn >= 0.0:
             raise DecodeError(f"min_modulation_dn is {self.min_modulation_dn}: use 0 or more")
+        if not 0.0 <= self.min_relative_modulation < 1.0:
+            raise DecodeError(
+                f"min_relative_modulation is {self.min_relative_modulation}: use a fraction from 0 to less than 1"
+            )
         if self.height_range_mm is not None and not (
             len(self.height_range_mm) == 2 and self.height_range_mm[0] < self.height_range_mm[1]
         ):
@@ -106,7 +113,12 @@ class Options:
     def summary(self) -> dict[str, Any]:
         """The choices that shape the numbers, in JSON's types."""
         named = ("saturation", "anchor", "gamma", "height", "c_px_per_mm", "projector", "exposure")
-        limits = ("height_range_mm", "min_modulation_dn", "max_order_residual")
+        limits = (
+            "height_range_mm",
+            "min_modulation_dn",
+            "min_relative_modulation",
+            "max_order_residual",
+        )
         rule = self.fusion if isinstance(self.fusion, str) else repr(self.fusion)
         return {"fusion": rule} | {name: getattr(self, name) for name in named + limits}
 

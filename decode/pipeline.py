@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from decode import fusion, gamma, gray, unwrap, validity
+from decode import fusion, gamma, gray, shadow, unwrap, validity
 from decode.device import Device, Lanes
 from decode.height import Pixels, Solver
 from decode.ladder import single
@@ -121,6 +121,8 @@ class _Decoded:
     usable: Lanes
     sigma_px: Lanes
     """Predicted standard deviation of the coordinate."""
+    lit: Lanes | None = None
+    """Where the light is the projector's own, if that can be told."""
 
 
 class _Kernel:
@@ -158,6 +160,7 @@ class _Kernel:
             measured.usable,
             measured.residuals,
             None if plan.model is None else height,
+            measured.lit,
         )
         lanes: dict[str, Lanes] = {
             "height_mm": height,
@@ -190,7 +193,7 @@ class _Kernel:
         sets, way, rungs = plan.sets[axis], plan.ways[axis], plan.rungs[axis]
         if way in ("row-scan", "quality-guided"):
             sets, rungs = sets[-1:], single([sets[-1].period_px])
-        samples = [self._samples(fringes) for fringes in sets]
+        samples = [self._samples(fringes, self.pixels.flat()) for fringes in sets]
         cell = self._cell(axis, samples) if way == "gray" else None
         if not sets:
             assert cell is not None  # an axis has fringes or Gray code
@@ -216,7 +219,27 @@ class _Kernel:
             usable = usable & phasor.usable
         period = sets[-1].period_px
         sigma_px = device.dr.sqrt(phasors[-1].variance_rad2) * (period / unwrap.TURN)
-        return _Decoded(period, phasors[-1], phases[-1], order, residuals, usable, sigma_px)
+        return _Decoded(
+            period,
+            phasors[-1],
+            phases[-1],
+            order,
+            residuals,
+            usable,
+            sigma_px,
+            self._lit(samples[-1]) if axis == plan.axis else None,
+        )
+
+    def _lit(self, samples: fusion.Samples) -> Lanes | None:
+        """Where the light is not stray; the image's typical light comes from a coarse grid, whatever the region."""
+        fraction = self.plan.options.min_relative_modulation
+        if not fraction:
+            return None
+        types = self.device.types
+        at = types.UInt32(shadow.grid(self.image))
+        levels = shadow.level(self._samples(samples.fringes, at)).numpy()
+        least = self.device.dr.opaque(types.Float, fraction * shadow.typical(levels))
+        return shadow.level(samples) >= least
 
     def _phase(self, fringes: FringeSet, phasor: Phasor) -> Lanes:
         """Wrapped phase, gamma undone."""
@@ -285,8 +308,9 @@ class _Kernel:
             gray.cell_sigma_px(cell.width_px, self.device),
         )
 
-    def _samples(self, fringes: FringeSet) -> fusion.Samples:
-        stack, at = self.plan.stack, self.pixels.flat()
+    def _samples(self, fringes: FringeSet, at: Lanes | None) -> fusion.Samples:
+        """Samples of the pixels with flat indices `at`; None: of the whole image."""
+        stack = self.plan.stack
         reject = self.plan.options.saturation == "reject"
         return fusion.Samples(
             device=self.device,

@@ -22,7 +22,7 @@ class Reason(IntEnum):
     SATURATED = 2
     """The fusion rule found no usable exposure."""
     SHADOW = 3
-    """No fringe above the noise: no projector light arrives, or none comes back."""
+    """No fringe above the noise, or so little light that it must be stray: see `decode.shadow`."""
     DARK = 4
     """A fringe, but of too little modulation."""
     ORDER_MISMATCH = 5
@@ -56,8 +56,9 @@ def reasons(
     usable: Lanes,
     residuals: list[Lanes],
     height_mm: Lanes | None,
+    lit: Lanes | None = None,
 ) -> Lanes:
-    """Reason codes as uint8 lanes. Comparisons are written so that NaN rejects."""
+    """Reason codes as uint8 lanes; `lit` False is shadow. Comparisons are written so that NaN rejects."""
     pick, code = device.dr.select, device.types.UInt32
     reason = code(Reason.OK)
     if height_mm is not None:
@@ -75,4 +76,7 @@ def reasons(
         bright = modulation_dn >= limits.min_modulation_dn
     fringe = finest.variance_rad2 < NO_FRINGE_RAD2
     dim = pick(fringe, code(Reason.DARK), code(Reason.SHADOW))
-    return device.types.UInt8(pick(usable, pick(bright, reason, dim), code(Reason.SATURATED)))
+    reason = pick(bright, reason, dim)
+    if lit is not None:
+        reason = pick(lit, reason, code(Reason.SHADOW))
+    return device.types.UInt8(pick(usable, reason, code(Reason.SATURATED)))
