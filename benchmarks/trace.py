@@ -6,6 +6,7 @@ objects and building the scene; `path` is handed a scene already built.
 """
 
 import argparse
+import resource
 import statistics
 import time
 from collections.abc import Callable
@@ -58,6 +59,10 @@ def main() -> int:
     print(
         f"warm: pass {ours:.2f} s for {len(scene.patterns.frames())} frames, path {theirs:.2f} s for one: "
         f"ratio {ratio:.2f} (target {TARGET})"
+    )
+    # Linux counts kilobytes.
+    print(
+        f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB, path's included"
     )
     return 0 if ratio <= TARGET else 1
 
