@@ -157,7 +157,7 @@ def _rows(clean: "_Experiment", dim: "_Experiment", trap: "_Experiment") -> tupl
             5.928,
             apex + trap.apex_bias_theory_mm,
             trap.apex_mm,
-            "as apex_clean; the bias is a ripple over 8 px of fringe, up to +-0.073 mm for this mean, +-0.17 for one pixel",
+            "as apex_clean; the bias is a ripple over 8 px of fringe, up to +-0.073 mm for this mean, +-0.18 for one pixel",
         ),
         Row(
             "saturated_rms_mm",

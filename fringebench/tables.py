@@ -61,7 +61,7 @@ def feature_table(score: evaluation.Score) -> Table:
 def chapter_table(result: "ChapterResult") -> Table:
     """The chapter's figures beside theory and measurement."""
     table = Table(title="the chapter's experiments", title_justify="left")
-    table.add_column("figure")
+    table.add_column("figure", min_width=max(len(row.name) for row in result.rows))
     for name in ("chapter", "theory", "measured"):
         table.add_column(name, justify="right")
     table.add_column("note")
