@@ -189,10 +189,13 @@ def figures(rec: Reconstruction, truth: Truth) -> Mapping[str, Figure]:
         found["sigma"] = map_figure(sigma, "Predicted standard deviation", "µm")
     if np.isfinite(height_error_mm(rec, truth)).any():
         found["histograms"] = error_histograms(rec, truth)
+    through: dict[int, list[str]] = {}
     for label in truth.labels:
         row = row_through(truth, label) if label in ("cap", "step", "solder") else None
         if row is not None:
-            found[f"profile-{label}"] = profile(rec, truth, row)
+            through.setdefault(row, []).append(label)
+    for row, labels in through.items():
+        found["profile-" + "-".join(labels)] = profile(rec, truth, row)
     return found
 
 

@@ -26,6 +26,7 @@ class Run:
     stack: scenes.Stack
     truth: scenes.Truth
     reconstruction: decode.Reconstruction
+    fusion: str
     score: evaluation.Score
     naive: evaluation.Score
     """The same stack decoded as the chapter does: one exposure, saturation ignored."""
@@ -74,7 +75,12 @@ def run(
         score.write(out / "scores.json")
         evaluation.write_cloud(out / "cloud.ply", reconstruction, truth)
         naive = evaluation.score(decode.reconstruct(middle_exposure(stack), **NAIVE), truth)
-    return Run(out, scene, stack, truth, reconstruction, score, naive, seconds)
+    result = Run(out, scene, stack, truth, reconstruction, fusion, score, naive, seconds)
+    with step("report"):
+        from fringebench.run_report import run_report
+
+        run_report(result, dict(seconds)).write(out / "report.html")
+    return result
 
 
 def middle_exposure(stack: scenes.Stack) -> scenes.Stack:

@@ -1,0 +1,147 @@
+"""Pictures of a capture: the scene as the camera sees it, sample frames, phases, and why pixels were rejected."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from decode import Reason, Reconstruction
+from evaluation.figures import map_figure
+from scenes.stack import Stack
+from scenes.truth import Truth
+
+# Valid is quiet; the reasons are Okabe and Ito's colours.
+VALID = "#e8e8e8"
+REASON_COLOURS = (
+    "#000000",
+    "#D55E00",
+    "#0072B2",
+    "#E69F00",
+    "#CC79A7",
+    "#009E73",
+    "#56B4E9",
+    "#F0E442",
+)
+# Exposures shown side by side at most.
+FRAMES_SHOWN = 6
+
+
+def scene_picture(stack: Stack, truth: Truth) -> Figure:
+    """The scene under even light, from the brightest unsaturated exposure of each pixel, with outlined labels.
+
+    Brightness is logarithmic: black ink and a solder highlight differ a thousandfold.
+    """
+    light = _radiance(stack)
+    known = light[np.isfinite(light) & (light > 0)]
+    floor = np.percentile(known, 1) if known.size else 1.0
+    shown = np.log10(np.maximum(light, floor))
+    figure = map_figure(shown, "The scene from the camera", "log₁₀ (DN / ms)", cmap="gray")
+    axes = figure.axes[0]
+    for index, label in enumerate(truth.labels):
+        mask = truth.label == index + 1
+        if not mask.any() or mask.all():
+            continue
+        if label != "base":
+            axes.contour(mask, levels=[0.5], colors="#E69F00", linewidths=0.8)
+        row, col = _inside(mask)
+        axes.annotate(
+            label,
+            (col, row),
+            color="white",
+            ha="center",
+            va="center",
+            bbox={"boxstyle": "round,pad=0.2", "facecolor": "black", "alpha": 0.6, "linewidth": 0},
+        )
+    return figure
+
+
+def frames_picture(stack: Stack) -> Figure:
+    """The first frame of every exposure, in DN; saturated pixels are red."""
+    shown = list(range(len(stack.exposure_ms)))[:FRAMES_SHOWN]
+    columns = min(3, len(shown))
+    rows = -(-len(shown) // columns)
+    height, width = stack.frames.shape[2:]
+    figure = Figure(
+        figsize=(4.4 * columns, 4.4 * rows * height / width + 0.5 * rows), layout="constrained"
+    )
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    top = min(stack.saturation_dn, float(stack.frames.max()))
+    grey = ListedColormap([(v, v, v) for v in np.linspace(0, 1, 256)]).with_extremes(over="#D55E00")
+    for axes, k in zip(panels, shown, strict=False):
+        frame = stack.frames[k, 0].astype(np.float64)
+        clipped = float((frame >= stack.saturation_dn).mean())
+        image = axes.imshow(
+            np.where(frame >= stack.saturation_dn, 2.0 * top, frame),
+            cmap=grey,
+            vmin=0,
+            vmax=top,
+            interpolation_stage="rgba",
+        )
+        axes.set_title(
+            f"{stack.exposure_ms[k]:.3g} ms, {100 * clipped:.1f} % saturated", fontsize="medium"
+        )
+        axes.set(xlabel="column (px)", ylabel="row (px)")
+    for axes in panels[len(shown) :]:
+        axes.set_axis_off()
+    figure.colorbar(image, ax=list(panels), label="DN", extend="max", shrink=0.9)
+    return figure
+
+
+def phase_figures(rec: Reconstruction) -> Mapping[str, Figure]:
+    """Wrapped and absolute phase of the measuring axis, rejected pixels left out."""
+    absolute = np.where(rec.valid, rec.phase_rad, np.nan)
+    return {
+        "wrapped": map_figure(
+            rec.wrapped_rad, "Wrapped phase", "rad", limits=(-np.pi, np.pi), cmap="twilight"
+        ),
+        "absolute": map_figure(absolute, "Absolute phase", "rad"),
+    }
+
+
+def reason_map(rec: Reconstruction) -> Figure:
+    """Every pixel by the reason it was rejected for; the legend gives each reason's share."""
+    shares = rec.reason_fractions()
+    present = [reason for reason in Reason if (rec.reason == reason).any()]
+    colours = [
+        VALID if r is Reason.OK else REASON_COLOURS[int(r) % len(REASON_COLOURS)] for r in present
+    ]
+    index = np.searchsorted([int(r) for r in present], rec.reason)
+    rows, cols = rec.reason.shape
+    figure = Figure(
+        figsize=(6.4, 6.4 * min(max(rows / cols, 0.3), 2.0) * 0.85 + 0.4), layout="constrained"
+    )
+    axes = figure.subplots()
+    norm = BoundaryNorm(np.arange(len(present) + 1) - 0.5, len(present))
+    axes.imshow(index, cmap=ListedColormap(colours), norm=norm, interpolation="nearest")
+    axes.set(
+        title="Valid pixels, and why others were rejected", xlabel="column (px)", ylabel="row (px)"
+    )
+    handles = [axes.scatter([], [], marker="s", s=60, color=c, edgecolors="gray") for c in colours]
+    names = [f"{r.label}: {100 * shares.get(r.label, 0.0):.2f} %" for r in present]
+    figure.legend(handles, names, loc="outside right upper", fontsize="small")
+    return figure
+
+
+def _radiance(stack: Stack) -> NDArray[np.float64]:
+    """Mean over the frames of each pixel's brightest unsaturated exposure (else its shortest), in DN per ms."""
+    order = np.argsort(stack.exposure_ms)
+    light: NDArray[np.float64] | None = None
+    for k in order:
+        frames = stack.frames[k]
+        here = (
+            frames.mean(axis=0, dtype=np.float64) - stack.sensor.black_level_dn
+        ) / stack.exposure_ms[k]
+        good = frames.max(axis=0) < stack.saturation_dn
+        light = here if light is None else np.where(good, here, light)
+    assert light is not None
+    return light
+
+
+def _inside(mask: NDArray[np.bool_]) -> tuple[float, float]:
+    """A (row, col) well inside the mask: the pixel farthest from its border."""
+    depth = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
+    row, col = np.unravel_index(int(np.argmax(depth)), mask.shape)
+    return float(row), float(col)

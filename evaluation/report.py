@@ -1,0 +1,164 @@
+"""A report: one self-contained HTML page of text, tables, pictures and a 3-D surface. Needs no network to open."""
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import jinja2
+import numpy as np
+import plotly.graph_objects as go
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from plotly.offline import get_plotlyjs
+
+from evaluation.figures import UM_PER_MM, png
+from scenes.replace_file import replacing
+
+# Vertices of the 3-D surface: enough to see a fringe's error, few enough to turn smoothly without a GPU.
+SURFACE_POINTS = 60_000
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure with a caption that says what to look for."""
+
+    figure: Figure
+    caption: str
+    wide: bool = False
+    """Take the page's whole width."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A table; the first column names the row."""
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    caption: str = ""
+    words: bool = False
+    """Cells are text, not numbers: left aligned, and they may wrap."""
+
+
+@dataclass(frozen=True)
+class Paragraph:
+    """Plain text."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Listing:
+    """Text as it stands in a file, folded away until asked for."""
+
+    title: str
+    text: str
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Heights as a surface that can be turned, coloured by error; hovering gives pixel, height, truth and error."""
+
+    height_mm: NDArray[np.floating]
+    """Measured (row, col), NaN where nothing is measured."""
+    truth_mm: NDArray[np.floating]
+    xyz_mm: NDArray[np.floating]
+    """True points (row, col, 3): where each pixel lies in the world."""
+    caption: str = ""
+
+    def to_json(self) -> str:
+        """The surface as a plotly figure."""
+        rows, cols = self.height_mm.shape
+        stride = max(1, int(np.ceil(np.sqrt(rows * cols / SURFACE_POINTS))))
+        # The middle pixel of each block, and its own numbers: nothing is averaged.
+        pick = (slice(stride // 2, None, stride), slice(stride // 2, None, stride))
+        height, true = self.height_mm[pick], self.truth_mm[pick]
+        error = (height - true) * UM_PER_MM
+        known = np.abs(error[np.isfinite(error)])
+        limit = float(np.percentile(known, 99)) if known.size else 1.0
+        row, col = np.meshgrid(
+            *(np.arange(n)[s] for n, s in zip((rows, cols), pick, strict=True)), indexing="ij"
+        )
+        hover = np.stack([col, row, height, true, error], axis=-1).astype(np.float32)
+        figure = go.Figure(
+            go.Surface(
+                x=self.xyz_mm[pick][..., 0].astype(np.float32),
+                y=self.xyz_mm[pick][..., 1].astype(np.float32),
+                z=height.astype(np.float32),
+                surfacecolor=np.clip(error, -10 * limit, 10 * limit).astype(np.float32),
+                customdata=hover,
+                cmin=-limit,
+                cmax=limit,
+                colorscale="RdBu_r",
+                colorbar={"title": {"text": "error (µm)"}},
+                hovertemplate=(
+                    "pixel (%{customdata[0]}, %{customdata[1]})<br>height %{customdata[2]:.4f} mm<br>"
+                    "truth %{customdata[3]:.4f} mm<br>error %{customdata[4]:.1f} µm<extra></extra>"
+                ),
+            )
+        )
+        span = np.nanmax(self.xyz_mm[..., :2], axis=(0, 1)) - np.nanmin(
+            self.xyz_mm[..., :2], axis=(0, 1)
+        )
+        tall = float(np.nanmax(true) - np.nanmin(true)) if np.isfinite(true).any() else 1.0
+        # Heights are stretched so that they show beside a field many times as wide.
+        stretch = max(tall / float(span.max()), 0.2)
+        figure.update_layout(
+            margin={"l": 0, "r": 0, "t": 0, "b": 0},
+            scene={
+                "xaxis": {"title": {"text": "x (mm)"}},
+                "yaxis": {"title": {"text": "y (mm)"}},
+                "zaxis": {"title": {"text": "height (mm)"}},
+                "aspectmode": "manual",
+                "aspectratio": {"x": 1.4, "y": 1.4 * float(span[1] / span[0]), "z": 1.4 * stretch},
+                "camera": {"eye": {"x": 0.0, "y": -1.5, "z": 1.2}},
+            },
+        )
+        text: str = figure.to_json()
+        # A closing script tag inside a string would end the page's script.
+        return text.replace("</", "<\\/")
+
+
+Block = Picture | Grid | Paragraph | Listing | Surface
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading and what stands under it."""
+
+    title: str
+    blocks: Sequence[Block]
+
+
+@dataclass(frozen=True)
+class Report:
+    """A page: title, one line of what it is, sections."""
+
+    title: str
+    summary: str
+    sections: Sequence[Section] = field(default_factory=tuple)
+
+    def html(self) -> str:
+        """The page as one self-contained document."""
+        environment = jinja2.Environment(
+            loader=jinja2.PackageLoader("evaluation"),
+            autoescape=True,
+            undefined=jinja2.StrictUndefined,
+            trim_blocks=True,
+            lstrip_blocks=True,
+        )
+        environment.filters["data_url"] = _data_url
+        environment.tests["instance_of"] = lambda block, name: type(block).__name__ == name
+        blocks = [block for section in self.sections for block in section.blocks]
+        script = get_plotlyjs() if any(isinstance(b, Surface) for b in blocks) else ""
+        return environment.get_template("report.html.j2").render(report=self, plotly=script)
+
+    def write(self, path: str | Path) -> None:
+        """Write the page, beside and renamed; raises `FileError` when it cannot be written."""
+        text = self.html()
+        with replacing(path) as beside:
+            beside.write_text(text, "utf-8")
+
+
+def _data_url(figure: Figure) -> str:
+    return "data:image/png;base64," + base64.b64encode(png(figure)).decode("ascii")

@@ -1,0 +1,29 @@
+"""Where results come from: versions, machine, times."""
+
+import importlib.metadata
+import os
+import platform
+from collections.abc import Mapping
+from datetime import UTC, datetime
+
+from evaluation.report import Grid, Listing, Section
+
+PACKAGES = ("fringebench", "mitsuba", "drjit", "numpy", "OpenEXR")
+
+
+def provenance(toml: str, seed: int | None, seconds: Mapping[str, float]) -> Section:
+    """The report's last section: how to make the same thing again."""
+    versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in PACKAGES)
+    rows = [
+        ["made", datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")],
+        ["seed", "-" if seed is None else str(seed)],
+        ["versions", versions],
+        [
+            "machine",
+            f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
+        ],
+        ["time", ", ".join(f"{name} {spent:.1f} s" for name, spent in seconds.items())],
+    ]
+    return Section(
+        "Provenance", [Grid(["", "value"], rows, words=True), Listing("The scene as TOML", toml)]
+    )

@@ -1,0 +1,137 @@
+"""The report of a run: what was shown, what was measured, where it is wrong and why."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+import decode
+import evaluation
+import scenes
+from evaluation.figures import figures
+from evaluation.pictures import frames_picture, phase_figures, reason_map, scene_picture
+from evaluation.report import Block, Grid, Paragraph, Picture, Report, Section, Surface
+from fringebench.provenance import provenance
+
+if TYPE_CHECKING:
+    from fringebench.run import Run
+
+SCORE_COLUMNS = (
+    "region", "pixels", "valid %", "bias µm", "RMS µm", "predicted µm", "p95 µm", "outliers %",
+)  # fmt: skip
+CAPTIONS = {
+    "height": "Measured height; grey pixels were rejected.",
+    "error": "Signed error on one scale either side of zero. Structure here is bias; salt and pepper is noise.",
+    "modulation": "Fringe amplitude, in DN of the exposure used for each pixel: where it is low, noise is high.",
+    "sigma": "What the decoder itself expects its noise to be.",
+    "histograms": "Errors of each region beside the normal that the predicted noise gives: a wider or shifted "
+    "histogram is error that noise does not explain.",
+}
+
+
+def run_report(run: "Run", spent: dict[str, float]) -> Report:
+    """The page for one run."""
+    rec, truth, stack = run.reconstruction, run.truth, run.stack
+    drawn = figures(rec, truth)
+    profiles = [name for name in drawn if name.startswith("profile-")]
+    phase = phase_figures(rec)
+    measured = [
+        Picture(drawn[name], CAPTIONS[name]) for name in ("modulation", "sigma") if name in drawn
+    ]
+    wrong: list[Block] = [Picture(drawn["error"], CAPTIONS["error"])]
+    if "histograms" in drawn:
+        wrong.append(Picture(drawn["histograms"], CAPTIONS["histograms"], wide=True))
+    wrong += [
+        Picture(
+            drawn[name],
+            f"A row through {name.removeprefix('profile-').replace('-', ' and ')}: measured, true, and the error below.",
+        )
+        for name in profiles
+    ]
+    return Report(
+        title=f"fringebench: {run.scene.name}",
+        summary=run.scene.description,
+        sections=[
+            Section("Scores", _scores(run)),
+            Section(
+                "Scene and frames",
+                [
+                    Picture(
+                        scene_picture(stack, truth),
+                        "The scene under even light, on a logarithmic scale, with its labels.",
+                    ),
+                    Picture(
+                        frames_picture(stack),
+                        "The first frame of each exposure; saturated pixels are orange.",
+                        wide=len(stack.exposure_ms) > 1,
+                    ),
+                ],
+            ),
+            Section(
+                "Phase and modulation",
+                [
+                    Picture(phase["wrapped"], "Phase of the finest fringes, before unwrapping."),
+                    Picture(
+                        phase["absolute"],
+                        "Phase after unwrapping: the projector column seen by each pixel.",
+                    ),
+                    *measured,
+                    Picture(reason_map(rec), "Where heights are given, and why not elsewhere."),
+                ],
+            ),
+            Section("Height", [Picture(drawn["height"], CAPTIONS["height"]), _surface(rec, truth)]),
+            Section("Error", wrong),
+            provenance(scenes.dumps(run.scene), stack.seed, spent),
+        ],
+    )
+
+
+def _scores(run: "Run") -> list[Block]:
+    count = len(run.stack.exposure_ms)
+    blocks: list[Block] = [
+        _score_grid(
+            run.naive, "One exposure, saturation ignored: what a modulation mask alone lets through"
+        ),
+        _score_grid(run.score, f"All {count} exposures, fused by {run.fusion}"),
+        Paragraph(
+            "Regions are the lit pixels of each label. Errors are measured minus true height. Predicted is the decoder's "
+            "own standard deviation; outliers are errors beyond five of them."
+        ),
+    ]
+    if run.score.features:
+        rows = [
+            [name, number(f.measured_mm, 1, 4), number(f.truth_mm, 1, 4)]
+            for name, f in run.score.features.items()
+        ]
+        blocks.append(Grid(["feature", "measured mm", "truth mm"], rows, "Features"))
+    return blocks
+
+
+def _score_grid(score: evaluation.Score, caption: str) -> Grid:
+    rows = [
+        [
+            label,
+            str(region.pixels),
+            number(region.coverage, 100, 1),
+            number(region.bias_mm, 1000, 1),
+            number(region.rms_mm, 1000, 1),
+            number(region.predicted_sd_mm, 1000, 1),
+            number(region.p95_abs_mm, 1000, 1),
+            number(region.outlier_fraction, 100, 2),
+        ]
+        for label, region in score.regions.items()
+    ]
+    return Grid(SCORE_COLUMNS, rows, caption)
+
+
+def number(value: float | None, scale: float, digits: int) -> str:
+    """A figure in the unit asked for; a dash where there is none."""
+    return "-" if value is None else f"{value * scale:.{digits}f}"
+
+
+def _surface(rec: decode.Reconstruction, truth: scenes.Truth) -> Surface:
+    return Surface(
+        np.where(rec.valid, rec.height_mm, np.nan),
+        truth.height_mm,
+        truth.xyz_mm,
+        "Measured heights coloured by error; drag to turn, hover for pixel, height, truth and error.",
+    )
