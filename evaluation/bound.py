@@ -47,7 +47,8 @@ class FringeLight:
 
     def at(self, shift_rad: float) -> Image:
         """Radiance under a phase shift."""
-        return self.offset + self.cosine * np.cos(shift_rad) - self.sine * np.sin(shift_rad)
+        wave = self.cosine * np.cos(shift_rad) - self.sine * np.sin(shift_rad)
+        return np.asarray(self.offset + wave)
 
     @property
     def phase_rad(self) -> Image:
