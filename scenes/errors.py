@@ -37,6 +37,10 @@ class DecodeError(FringebenchError):
     """A stack that cannot be decoded, or a decode that would come out empty."""
 
 
+class DecoderError(FringebenchError):
+    """Somebody's decoder that cannot be found or run, or whose answer is no height map."""
+
+
 class ScoreError(FringebenchError):
     """A reconstruction and a truth that cannot be compared."""
 

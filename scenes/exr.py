@@ -75,7 +75,7 @@ def read(path: str | Path, kind: str) -> tuple[dict[str, NDArray[Any]], dict[str
     source = Path(path)
     if not source.is_file():
         raise FileError(f"'{source}' does not exist: give the path of a {kind} EXR file")
-    channels, meta = _load(source)
+    channels, meta = load(source)
     if meta is None:
         raise FileError(
             f"'{source}' is an OpenEXR file but not one of fringebench's: expected a {kind} file"
@@ -97,15 +97,16 @@ def kind_of(path: str | Path) -> str:
     source = Path(path)
     if not source.is_file():
         raise FileError(f"'{source}' does not exist")
-    _, meta = _load(source, header_only=True)
+    _, meta = load(source, header_only=True)
     if meta is None:
         raise FileError(f"'{source}' is an OpenEXR file but not one of fringebench's")
     return str(meta.get("format"))
 
 
-def _load(
+def load(
     source: Path, header_only: bool = False
 ) -> tuple[dict[str, NDArray[Any]], dict[str, Any] | None]:
+    """Channels of any OpenEXR file, and its meta if it is one of this project's. Raises `FileError` if it is no EXR."""
     with _library() as said:
         try:
             file = OpenEXR.File(str(source), separate_channels=True, header_only=header_only)
