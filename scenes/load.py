@@ -69,6 +69,9 @@ def parse(
         shape = item.get("shape", {}) if isinstance(item, dict) else {}
         if isinstance(shape, dict) and isinstance(shape.get("path"), str):
             shape["path"] = str(folder / shape["path"])
+    board = tree.get("board") if folder else None
+    if isinstance(board, dict):
+        _resolve_board(board, folder or Path())
     try:
         return Scene.model_validate(tree)
     except ValidationError as error:
@@ -92,6 +95,18 @@ def save(scene: Scene, path: str | Path) -> None:
 def schema() -> dict[str, Any]:
     """The JSON schema of a scene file, for editors."""
     return Scene.model_json_schema()
+
+
+def _resolve_board(board: dict[str, Any], folder: Path) -> None:
+    """Make a board's folder, or its files where it has no folder, relative to the scene file."""
+    if isinstance(board.get("folder"), str):
+        board["folder"] = str(folder / board["folder"])
+    elif isinstance(board.get("files"), dict):
+        files = board["files"]
+        board["files"] = {
+            role: str(folder / path) if isinstance(path, str) else path
+            for role, path in files.items()
+        }
 
 
 def _set(tree: dict[str, Any], dotted: str, value: Any) -> None:

@@ -67,7 +67,8 @@ Material = Annotated[Diffuse | Glossy | Conductor | Dielectric, Field(discrimina
 # Tin: n = 1.48, k = 5.25 at 589.3 nm (Drude; CRC Handbook of Chemistry and Physics, optical constants of metals:
 # reflectance 0.82). Refractiveindex.info has no visible data for tin (Golovashkin and Motulevich 1964 starts at 730 nm).
 # Copper, gold: P. B. Johnson and R. W. Christy, Phys. Rev. B 6, 4370 (1972), interpolated between 2.01 and 2.14 eV.
-# Roughness: reflowed solder is smooth, finely ground metal and plated finishes scatter more; stated, not measured.
+# Roughness: reflowed solder is smooth, finely ground metal and plated finishes scatter more, paste seen from too far to
+# tell its grains most of all; stated, not measured.
 # Inks and masks: epoxy skin, n = 1.55; body albedos are typical of the black and green sort, stated, not measured.
 # Flux: rosin (abietic acid), n = 1.545; wet, so nearly smooth. It is clear and brown; here it is an opaque body under a
 # skin, for what lies below the grains is more grains, which return little.
@@ -80,6 +81,7 @@ LIBRARY: dict[str, Material] = {
     "flux": Glossy(reflectance=0.15, ior=1.545, roughness=0.1),
     "resin": Dielectric(ior=1.5, roughness=0.4),
     "mirror": Conductor(eta=1.48, k=5.25, roughness=0.0),
+    "solder-paste": Conductor(eta=1.48, k=5.25, roughness=0.5),
     "solder": Conductor(eta=1.48, k=5.25, roughness=0.25),
     "tin": Conductor(eta=1.48, k=5.25, roughness=0.15),
     "copper": Conductor(eta=0.59, k=2.84, roughness=0.3),

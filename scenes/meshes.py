@@ -4,7 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 
+from scenes.board_meshes import Body, bodies
 from scenes.errors import MeshError
 from scenes.materials import Material, material
 from scenes.scene import Object, Scene
@@ -20,14 +22,18 @@ class Part:
     material: Material
     smooth: bool
     """Shade with vertex normals instead of the triangles' own."""
+    face_pad: NDArray[np.int32] | None = None
+    """(face,) id of the board's pad that each triangle belongs to, 0 for none; None: no board's part."""
 
 
 def parts(scene: Scene) -> tuple[Part, ...]:
-    """Every object of the scene as a placed, checked mesh with its material; `MeshError` if one is unusable."""
-    return tuple(
+    """Every object and the board as placed, checked meshes with their materials; `MeshError` if one is unusable."""
+    own = [
         Part(item.label, _placed(item), material(item.material, scene.materials), item.smooth)
         for item in scene.objects
-    )
+    ]
+    printed = bodies(scene.board) if scene.board else ()
+    return (*own, *(_part(body, scene) for body in printed))
 
 
 def meshes(scene: Scene) -> dict[str, trimesh.Trimesh]:
@@ -41,6 +47,12 @@ def meshes(scene: Scene) -> dict[str, trimesh.Trimesh]:
     for part in parts(scene):
         grouped.setdefault(part.label, []).append(part.mesh)
     return {label: trimesh.util.concatenate(group) for label, group in grouped.items()}
+
+
+def _part(body: Body, scene: Scene) -> Part:
+    mesh = trimesh.Trimesh(body.vertices, body.faces, process=False)
+    _check(mesh, body.label)
+    return Part(body.label, mesh, material(body.material, scene.materials), body.smooth, body.pad)
 
 
 def _placed(item: Object) -> trimesh.Trimesh:

@@ -7,6 +7,8 @@ import trimesh
 from numpy.typing import NDArray
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
 
+from scenes.board import Board
+from scenes.distribution import Distribution
 from scenes.emission import Camera, Projector
 from scenes.errors import nearest
 from scenes.frozen import Frozen
@@ -93,7 +95,9 @@ class Scene(Frozen):
     description: str = ""
     camera: Camera
     projectors: Annotated[tuple[Projector, ...], Field(min_length=1, max_length=16)]
-    objects: Annotated[tuple[Object, ...], Field(min_length=1)]
+    objects: tuple[Object, ...] = ()
+    board: Board | None = None
+    """A circuit board with solder paste, its laminate's surface at z = 0."""
     materials: dict[str, Material] = {}
     ambient: Ambient = Ambient()
     patterns: Patterns
@@ -102,13 +106,20 @@ class Scene(Frozen):
     sampling: Sampling = Sampling()
     height_range_mm: tuple[float, float]
     """Lowest and highest z expected: the working volume, which decoding may use to find the fringe order."""
+    randomise: dict[str, Distribution] = {}
+    """Dotted key of this scene -> the distribution that `scenes.realise` draws it from for each sample."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         low, high = self.height_range_mm
         if not low < high:
             raise ValueError(f"height_range_mm {[low, high]}: the first must be below the second")
+        if not self.objects and self.board is None:
+            raise ValueError("nothing to see: give objects, or a board")
         known = LIBRARY.keys() | self.materials.keys()
+        for name in self.board.materials if self.board else ():
+            if name not in known:
+                raise ValueError(f"the board has unknown material '{name}': {nearest(name, known)}")
         for item in self.objects:
             if item.material not in known:
                 raise ValueError(
@@ -138,7 +149,8 @@ class Scene(Frozen):
     @property
     def labels(self) -> tuple[str, ...]:
         """Labels in order of first use; label i of this tuple has id i + 1 in label maps, 0 is nothing."""
-        return tuple(dict.fromkeys(item.label for item in self.objects))
+        own = [item.label for item in self.objects]
+        return tuple(dict.fromkeys([*own, *(self.board.labels if self.board else ())]))
 
     @property
     def frames(self) -> tuple[Frame, ...]:

@@ -1,0 +1,122 @@
+"""The bare board as a surface: laminate, copper under its finish, and mask with its openings, each at its height.
+
+The artwork's outlines cut the plane into faces, each of one height; neighbouring faces share their corners, and where
+heights differ a vertical wall stands between them. So the surface has neither gaps nor two layers in one place.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from scenes.board import Stackup
+from scenes.layout import Layout
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+# Outlines are noded on this grid (10 nm), which makes their overlay robust.
+GRID_MM = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Triangles in board coordinates, z in mm above the laminate."""
+
+    vertices: Floats
+    faces: Ints
+    pad: Ints
+    """(face,) id of the pad whose opening is printed on the copper it belongs to; 0 for none, or for several."""
+
+
+def surfaces(layout: Layout, stackup: Stackup) -> dict[str, Surface]:
+    """Label -> triangles: `base` bare laminate, `mask`, and `pad` copper free of mask, with their upright edges."""
+    faces, kinds, heights, pads = _faces(layout, stackup)
+    walls = _walls(faces, heights)
+    built = {}
+    for label in ("base", "mask", "pad"):
+        chosen = [int(i) for i in np.flatnonzero(kinds == label)]
+        tops = [_flat(faces[i], heights[i]) for i in chosen]
+        sides = [walls[i] for i in chosen if i in walls]
+        corners = np.concatenate([np.zeros((0, 3, 3)), *tops, *sides])
+        owner = [pads[i] for i in chosen] + [pads[i] for i in chosen if i in walls]
+        vertices, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+        built[label] = Surface(
+            vertices,
+            index.reshape(-1, 3),
+            np.repeat(np.array(owner, dtype=np.int64), [len(t) for t in (*tops, *sides)]),
+        )
+    return {label: surface for label, surface in built.items() if len(surface.faces)}
+
+
+def _faces(
+    layout: Layout, stackup: Stackup
+) -> tuple[list[shapely.Polygon], NDArray[np.str_], Floats, list[int]]:
+    """The plane's faces: polygons wound counter-clockwise, label, height, pad id."""
+    copper, openings, board = (
+        shapely.set_precision(area, GRID_MM)
+        for area in (layout.copper, layout.openings, layout.board)
+    )
+    lines = shapely.union_all(
+        [shapely.boundary(area) for area in (copper, openings, board)], grid_size=GRID_MM
+    )
+    cut = shapely.orient_polygons(shapely.get_parts(shapely.polygonize([lines])))
+    inside = shapely.point_on_surface(cut)
+    for area in (copper, openings, board):
+        shapely.prepare(area)
+    on_board = shapely.intersects(board, inside)
+    cut, inside = cut[on_board], inside[on_board]
+    metal, bare = shapely.intersects(copper, inside), shapely.intersects(openings, inside)
+    kinds = np.select([bare & metal, bare], ["pad", "base"], "mask")
+    covered = stackup.mask_mm + stackup.copper_mm * metal
+    heights = np.select([bare & metal, bare], [stackup.pad_mm, 0.0], covered)
+    owner = [0] * len(cut)
+    if layout.pads:
+        middles = np.array([pad.outline.point_on_surface() for pad in layout.pads])
+        face, pad = shapely.STRtree(middles).query(cut, predicate="intersects")
+        for f in np.unique(face):
+            printed = pad[face == f]
+            if kinds[f] == "pad" and len(printed) == 1:
+                owner[f] = layout.pads[int(printed[0])].id
+    return list(cut), kinds, heights.astype(np.float64), owner
+
+
+def _flat(polygon: shapely.Polygon, height_mm: float) -> Floats:
+    """(triangle, 3, 3) upward corners of a polygon; every corner of its outline is kept."""
+    triangles = shapely.orient_polygons(
+        shapely.get_parts(shapely.constrained_delaunay_triangles(polygon))
+    )
+    xy = shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
+    return np.concatenate([xy, np.full((*xy.shape[:2], 1), height_mm)], axis=-1)
+
+
+def _walls(faces: list[shapely.Polygon], heights: Floats) -> dict[int, Floats]:
+    """Face -> (triangle, 3, 3) of the walls down to its lower neighbours; the board's own rim stays open."""
+    starts, ends, owner = [], [], []
+    for i, face in enumerate(faces):
+        for ring in (face.exterior, *face.interiors):
+            corners = shapely.get_coordinates(ring)
+            starts.append(corners[:-1])
+            ends.append(corners[1:])
+            owner.append(np.full(len(corners) - 1, i))
+    start, end, face_of = np.concatenate(starts), np.concatenate(ends), np.concatenate(owner)
+    _, number = np.unique(np.concatenate([start, end]), axis=0, return_inverse=True)
+    a, b = number[: len(start)], number[len(start) :]
+    count = int(number.max()) + 1
+    forth, back = a * count + b, b * count + a
+    order = np.argsort(forth)
+    place = np.minimum(np.searchsorted(forth[order], back), len(forth) - 1)
+    # The same piece run the other way belongs to the face beyond it.
+    shared = forth[order][place] == back
+    beyond = face_of[order][place]
+    high, low = heights[face_of], heights[beyond]
+    stands = np.flatnonzero(shared & (high > low + 1e-12))
+    upper_a, upper_b = (np.column_stack([p[stands], high[stands]]) for p in (start, end))
+    lower_a, lower_b = (np.column_stack([p[stands], low[stands]]) for p in (start, end))
+    first = np.stack([upper_a, lower_a, lower_b], axis=1)
+    second = np.stack([upper_a, lower_b, upper_b], axis=1)
+    return {
+        int(i): np.concatenate([first[face_of[stands] == i], second[face_of[stands] == i]])
+        for i in np.unique(face_of[stands])
+    }
