@@ -32,7 +32,9 @@ def level(samples: Samples) -> Lanes:
         power = phasor.cosine * phasor.cosine + phasor.sine * phasor.sine
         # sigma_B = B sigma_phi, which is NaN where all steps are clipped alike
         sure = dr.sqrt(power) - SURE * dr.sqrt(phasor.variance_rad2 * power)
-        scaled = dr.select(power > 0.0, sure * (1.0 / time_ms), 0.0)
+        # an argument of the kernel: another exposure time does not compile another kernel
+        per_ms = dr.opaque(samples.device.types.Float, 1.0 / time_ms)
+        scaled = dr.select(power > 0.0, sure * per_ms, 0.0)
         best = scaled if best is None else dr.maximum(best, scaled)
     return best
 

@@ -2,12 +2,17 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+import decode
 from decode.device import Device
 from scenes.errors import DecodeError
+from scenes.patterns import PhaseShift
+from scenes.rig import LookAt
+from tests.decode.synthetic import calibrated_stack, hills, rig
 
 
 @pytest.fixture(scope="module")
@@ -63,3 +68,26 @@ for size in (67, 1000, 1001):
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"status {done.returncode}: {done.stderr}"
+
+
+def test_another_rig_or_exposure_time_compiles_no_new_kernel(device: Device) -> None:
+    """A data set of random rigs would else spend its time in the compiler."""
+    patterns = PhaseShift(periods_px=(16.0, 80.0))
+    dr = device.dr
+
+    def compiled(camera_mm: float, times: tuple[float, ...]) -> int:
+        calibration = rig("pinhole", "telecentric")
+        pose = LookAt(origin_mm=(0, 0, camera_mm))
+        moved = calibration.camera.model_copy(update={"pose": pose})
+        calibration = calibration.model_copy(update={"camera": moved})
+        one = calibrated_stack(calibration, hills(), patterns, dtype=np.uint8)
+        frames = np.repeat(one.frames, len(times), axis=0)
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            decode.reconstruct(replace(one, frames=frames, exposure_ms=times))
+            kernels = dr.kernel_history([dr.KernelType.JIT])
+        assert kernels
+        return sum(not kernel["cache_hit"] for kernel in kernels)
+
+    compiled(60.0, (1.0, 2.0))
+    assert compiled(61.0, (1.53, 2.57)) == 0
