@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scenes.calibration import Calibration
 from scenes.errors import DecodeError
 from scenes.patterns import Axis
-from scenes.rig import UNDISTORT_STEPS, Projection, distort, undistort
+from scenes.rig import UNDISTORT_STEPS, Projection, distort, distortion_jacobian, undistort
 
 # Lanes, NumPy array or float.
 Real = Any
@@ -115,14 +115,8 @@ class Rig:
         if not any(coefficients):
             return (x, dx) if axis == "column" else (y, dy)
         xd, yd = distort(x, y, coefficients)
-        k1, k2, p1, p2, k3 = coefficients
-        r2 = x * x + y * y
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        growth = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * (3.0 * k3)))
-        cross = growth * x * y + 2.0 * (p1 * x + p2 * y)
-        if axis == "column":
-            return xd, (radial + growth * x * x + 2.0 * p1 * y + 6.0 * p2 * x) * dx + cross * dy
-        return yd, (radial + growth * y * y + 6.0 * p1 * y + 2.0 * p2 * x) * dy + cross * dx
+        xx, cross, yy = distortion_jacobian(x, y, coefficients)
+        return (xd, xx * dx + cross * dy) if axis == "column" else (yd, cross * dx + yy * dy)
 
     def _intrinsics(self, axis: Axis) -> tuple[float, float]:
         p = self.projector

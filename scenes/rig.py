@@ -287,23 +287,30 @@ def distort(x: Any, y: Any, coefficients: Coefficients) -> tuple[Any, Any]:
     )
 
 
+def distortion_jacobian(x: Any, y: Any, coefficients: Coefficients) -> tuple[Any, Any, Any]:
+    """Derivatives of `distort`: (d xd / dx, d xd / dy = d yd / dx, d yd / dy); NumPy or Dr.Jit arrays."""
+    k1, k2, p1, p2, k3 = coefficients
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * (3.0 * k3)))
+    return (
+        radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x,
+        slope * x * y + 2.0 * (p1 * x + p2 * y),
+        radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x,
+    )
+
+
 def undistort(
     xd: Any, yd: Any, coefficients: Coefficients, steps: int = UNDISTORT_STEPS
 ) -> tuple[Any, Any]:
     """Inverse of `distort` by Newton's method with the exact Jacobian; NumPy or Dr.Jit arrays."""
     if not any(coefficients):
         return xd, yd
-    k1, k2, p1, p2, k3 = coefficients
     x, y = xd, yd
     for _ in range(steps):
         fx, fy = distort(x, y, coefficients)
         ex, ey = fx - xd, fy - yd
-        r2 = x * x + y * y
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * (3.0 * k3)))
-        cross = slope * x * y + 2.0 * (p1 * x + p2 * y)
-        jxx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
-        jyy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
+        jxx, cross, jyy = distortion_jacobian(x, y, coefficients)
         det = jxx * jyy - cross * cross
         x = x - (jyy * ex - cross * ey) / det
         y = y - (jxx * ey - cross * ex) / det
