@@ -1,11 +1,13 @@
 """How well a phase could be known: the Cramer-Rao bound of the frames taken, and how near a decoder comes to it."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
+from scipy.special import log_ndtr, ndtr
 
 from scenes.errors import ScoreError
 from scenes.patterns import Axis, Frame
@@ -77,10 +79,10 @@ def phase_bound_rad2(
         radiance = light.at(shift) * level
         wave = np.array([1.0, np.cos(shift), -np.sin(shift)])
         known = np.zeros_like(light.offset)
-        for time_ms in exposure_ms:
+        for time_ms, count in Counter(exposure_ms).items():
             dn_per_light = float(sensor.mean_dn(1.0, time_ms) - sensor.mean_dn(0.0, time_ms))
             slope = dn_per_light * np.asarray(level)
-            known += slope**2 * _information(sensor, radiance, time_ms, censored)
+            known += count * slope**2 * _information(sensor, radiance, time_ms, censored)
         moments += np.multiply.outer(np.outer(wave, wave), known)
     # The offset is eliminated; the phase moves across the phasor.
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -100,11 +102,11 @@ def _information(sensor: Sensor, radiance: Image, time_ms: float, censored: bool
     rounding = 0.5 if sensor.bits else 0.0
     sigma = np.sqrt(variance)
     upper = np.clip((sensor.saturation_dn - rounding - mean) / sigma, -SURE, SURE)
-    inside, edges = stats.norm.cdf(upper), np.zeros_like(mean)
+    inside, edges = ndtr(upper), np.zeros_like(mean)
     edges += _edge(upper)
     if sensor.bits:
         lower = np.clip((rounding - mean) / sigma, -SURE, SURE)
-        inside = inside - stats.norm.cdf(lower)
+        inside = inside - ndtr(lower)
         edges += _edge(-lower)
     told = inside + edges if censored else inside
     return np.asarray(np.maximum(told, 0.0) / variance)
@@ -112,8 +114,8 @@ def _information(sensor: Sensor, radiance: Image, time_ms: float, censored: bool
 
 def _edge(z: Image) -> Image:
     """What is added at a limit z sigma away: the clipped samples' knowledge less the lost tail's."""
-    density = stats.norm.pdf(z)
-    return np.asarray(density * (np.exp(stats.norm.logpdf(z) - stats.norm.logsf(z)) - z))
+    log_density = -0.5 * z**2 - 0.5 * np.log(2.0 * np.pi)
+    return np.asarray(np.exp(log_density) * (np.exp(log_density - log_ndtr(-z)) - z))
 
 
 @dataclass(frozen=True)

@@ -77,13 +77,20 @@ class Repeat:
 
     @classmethod
     def of(
-        cls, rec: Reconstruction, truth: Truth, light: FringeLight | None, margin_px: int
+        cls,
+        rec: Reconstruction,
+        truth: Truth,
+        light: FringeLight | None,
+        margin_px: int,
+        outlier_mm: float,
     ) -> "Repeat":
-        """Score it, and hold its phase against the noise-free light's."""
+        """Score it, and hold its phase against the noise-free light's. One yardstick for outliers serves all strategies,
+        for a decoder that predicts small sigmas must not have more of them by that.
+        """
         true_rad = np.nan if light is None else light.phase_rad
         off = np.where(rec.valid, rec.wrapped_rad - true_rad, np.nan)
         return cls(
-            score(rec, truth, margin_px=margin_px).regions,
+            score(rec, truth, margin_px=margin_px, outlier_mm=outlier_mm).regions,
             np.angle(np.exp(1j * off)).astype(np.float32),
             np.where(rec.valid, rec.height_mm, np.nan).astype(np.float32),
             rec.sigma_mm,
@@ -164,6 +171,8 @@ class Comparison:
     repeats: int
     seed: int
     margin_px: int
+    outlier_mm: float
+    """A larger error counts as an outlier."""
     frames: int
     """The reference's, the budget of equal-frames."""
     exposure_ms: float
@@ -180,6 +189,7 @@ class Comparison:
             "repeats": self.repeats,
             "seed": self.seed,
             "margin_px": self.margin_px,
+            "outlier_mm": self.outlier_mm,
             "confidence": CONFIDENCE,
             "budgets": {"equal-time": self.exposure_ms, "equal-frames": self.frames},
             "strategies": [

@@ -32,6 +32,8 @@ from scenes.patterns import Axis
 LADDER = (0.25, 0.5, 1.0, 2.0)
 # Pixels across a border mix two heights, which no strategy can help.
 MARGIN_PX = 1
+# An error of more than this part of the working volume's depth is an outlier.
+OUTLIER_FRACTION = 0.02
 
 
 def compare(
@@ -83,6 +85,7 @@ def compare(
         repeats,
         seed,
         MARGIN_PX,
+        bench.outlier_mm,
         shot.frames(bench.reference.projectors),
         shot.light_ms(bench.reference.projectors),
         tuple(entries),
@@ -103,6 +106,8 @@ class _Bench:
         patterns = scene.patterns
         assert isinstance(patterns, scenes.PhaseShift)
         self.reference = Reference(patterns, times_ms, len(scene.projectors))
+        low, high = scene.height_range_mm
+        self.outlier_mm = OUTLIER_FRACTION * (high - low)
         self.light: dict[str, FringeLight] = {}
 
     def group(
@@ -133,7 +138,8 @@ class _Bench:
                 spent = time.perf_counter() - start
                 fastest[s.name] = min(fastest.get(s.name, spent), spent)
                 axes[s.name] = rec.axis
-                kept[s.name].append(Repeat.of(rec, self.truth, self._light(rec.axis), MARGIN_PX))
+                light = self._light(rec.axis)
+                kept[s.name].append(Repeat.of(rec, self.truth, light, MARGIN_PX, self.outlier_mm))
         assert capture is not None
         entries = [
             Entry(
