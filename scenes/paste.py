@@ -109,6 +109,8 @@ class Form:
     scoop: float
     dog_ear: float
     roughness: float
+    stroke: tuple[float, float] = (0.0, 1.0)
+    """Unit vector along which the stencil was printed, in the aperture's own frame."""
     peak_mm: float = 0.0
     """Height of a peak above the surface around it."""
     peak_width_mm: float = 0.1
@@ -170,9 +172,10 @@ def _shape(
     edge = min(form.edge_mm, max(deepest, 1e-9))
     rise = shoulder(depth, edge, form.wall)
     hollow = form.scoop * (1.0 - (1.0 - depth / max(deepest, 1e-9)) ** 2)
-    centre, half = _extent(mesh.xy_mm)
-    along = np.abs((mesh.xy_mm - centre) / half)[:, "xy".index(paste.stroke)]
-    ridge = np.exp(-(((depth - edge) / (1.5 * edge)) ** 2)) * along**8
+    # A ridge across each end along the stroke, its crest where the shoulder ends.
+    along = mesh.xy_mm @ np.asarray(form.stroke)
+    from_end = np.minimum(along.max() - along, along - along.min())
+    ridge = np.exp(-((np.maximum(from_end - edge, 0.0) / (1.5 * edge)) ** 2))
     lumps = form.roughness * _waves(xy, paste.lump_mm, rng) if form.roughness else 0.0
     # Lumps of three sd and a deep scoop together may not cut through to the pad.
     shape: Floats = rise * np.maximum(1.0 - hollow + form.dog_ear * ridge + lumps, 0.05)

@@ -18,7 +18,7 @@ from scenes.board import Board, GerberBoard, Stackup
 from scenes.defects import Fate, fate
 from scenes.distribution import draw
 from scenes.heightfield import Heightfield, Tessellation, tessellate
-from scenes.layout import Layout, Pad, disk
+from scenes.layout import Layout, Pad, disk, rounded
 from scenes.paste import Form, Paste, area_ratio, deposit, shoulder
 
 Floats = NDArray[np.float64]
@@ -166,8 +166,12 @@ def _deposit(board: Board, layout: Layout, pad: Pad, registration: _Registration
     slump = draw(paste.slump_mm, rng)
     doom = fate(board.defects, board.generator(PAD, pad.id, 1))
 
-    low, high = np.array(pad.aperture.bounds).reshape(2, 2)
+    slant = _slant(pad.aperture)
+    # Shaped in the aperture's own axes: so slump widens a slanted opening alike on all sides.
+    opening = rounded(shapely.transform(pad.aperture, lambda xy: _turned(xy, -slant)))
+    low, high = np.array(opening.bounds).reshape(2, 2)
     half = (high - low) / 2
+    stroke = _turned(np.eye(2)["xy".index(paste.stroke)], -slant)
     centre = np.asarray(pad.centre_mm) - layout.centre_mm
     ratio = area_ratio(pad.aperture, registration.stencil_mm)
     efficiency = paste.transfer.efficiency(ratio)
@@ -179,15 +183,25 @@ def _deposit(board: Board, layout: Layout, pad: Pad, registration: _Registration
 
     stretch = (1.0 + slump / half) * np.sqrt(doom.area)
     shaped = deposit(
-        _tessellated(pad.aperture.wkb, paste.fine_step_mm),
+        _tessellated(opening.wkb, paste.fine_step_mm),
         volume,
         (float(stretch[0]), float(stretch[1])),
-        Form(edge, wall, scoop, ear, rough, doom.peak_mm, doom.peak_width_mm, doom.peak_at),
+        Form(
+            edge,
+            wall,
+            scoop,
+            ear,
+            rough,
+            (float(stroke[0]), float(stroke[1])),
+            doom.peak_mm,
+            doom.peak_width_mm,
+            doom.peak_at,
+        ),
         paste,
         board.generator(PAD, pad.id, 2),
     )
     offset = offset + 2.0 * float(half.min()) * np.asarray(doom.shift)
-    xy = _turned(shaped.xy_mm, turn + doom.rotation_rad) + offset + centre
+    xy = _turned(shaped.xy_mm, slant + turn + doom.rotation_rad) + offset + centre
     xy = _turned(xy, registration.turn_rad) + registration.shift_mm
     field = Heightfield(xy, shaped.faces, shaped.rims, shaped.height_mm)
     whole = _lifted(Deposit(pad, aperture, doom, ratio, efficiency, field, speck=speck))
@@ -201,6 +215,15 @@ def _none_left(doom: Fate) -> Fate:
     """An aperture too small to let any paste go is a missing deposit too, whatever else was drawn."""
     kept = tuple(name for name in doom.classes if name == "contamination")
     return Fate(("missing", *kept), volume=0.0, speck=doom.speck)
+
+
+def _slant(aperture: shapely.Polygon) -> float:
+    """Angle of the aperture's own axes: those of its smallest enclosing rectangle, unless upright fits as well."""
+    box = shapely.oriented_envelope(aperture)
+    if box.area > (1.0 - 1e-6) * shapely.envelope(aperture).area:
+        return 0.0
+    start, end = shapely.get_coordinates(box)[:2]
+    return float(np.arctan2(*(end - start)[::-1]) % (np.pi / 2))
 
 
 def _turned(xy: Floats, angle_rad: float) -> Floats:
