@@ -7,6 +7,7 @@ import numpy as np
 import trimesh
 
 from render.camera import camera_plugin
+from render.normals import vertex_normals
 from render.projector import projector_plugin
 from render.variant import mi, use
 from scenes.basis import basis
@@ -72,6 +73,9 @@ def _mesh(name: str, mesh: trimesh.Trimesh, bsdf: Any, smooth: bool) -> Any:
     params = mi.traverse(shape)
     params["vertex_positions"] = mi.Float32(np.asarray(mesh.vertices, dtype=np.float32).ravel())
     params["faces"] = mi.UInt32(np.asarray(mesh.faces, dtype=np.uint32).ravel())
+    if smooth:
+        normals = vertex_normals(mesh.vertices, mesh.faces)
+        params["vertex_normals"] = mi.Float32(normals.astype(np.float32).ravel())
     params.update()
     return shape
 

@@ -1,0 +1,118 @@
+"""Commands that judge decoders: regress, export, budget."""
+
+import re
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from scenes.errors import FringebenchError
+
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
+
+
+def regress(
+    decoder: Annotated[
+        str,
+        typer.Argument(
+            help="package.module:callable taking a Stack, or a command with {stack} or {manifest}, and {output}."
+        ),
+    ],
+    baseline: Annotated[
+        Path | None,
+        typer.Option(help="Baseline JSON; default: the one shipped, of decode:reconstruct."),
+    ] = None,
+    update: Annotated[
+        bool,
+        typer.Option("--update", help="Store the figures in --baseline, unless they got worse."),
+    ] = False,
+    seeds: Annotated[
+        str, typer.Option(metavar="LIST", help="Noise seeds, one decode each: 0-15 or 3,7,11.")
+    ] = "0-15",
+    timeout: Annotated[
+        float, typer.Option(help="Seconds a command may take for one stack.")
+    ] = 600.0,
+    as_json: AsJson = False,
+) -> None:
+    """Hold a decoder against a baseline: exit status 1 if bias, silent errors or coverage got worse."""
+    from fringebench.progress import Steps
+    from fringebench.regress import regress as run
+    from fringebench.regress import told
+
+    result = run(
+        decoder,
+        baseline,
+        update=update,
+        seeds=parse_seeds(seeds),
+        timeout_s=timeout,
+        steps=Steps(Console(stderr=True)),
+    )
+    if as_json:
+        _print_json(result.to_dict())
+    else:
+        console = Console(highlight=False, soft_wrap=True)
+        for row in result.failed:
+            console.print(f"[red]{row.comparison.verdict}[/]  {told(row)}")
+        for row in result.improved:
+            console.print(f"[green]better[/]  {told(row)}")
+        if result.updated:
+            console.print(f"stored as {baseline}")
+        if result.rows:
+            console.print(
+                f"{result.decoder} against {result.baseline}: "
+                + (
+                    f"{len(result.failed)} of {len(result.rows)} figures failed"
+                    if result.failed
+                    else "passed"
+                )
+            )
+    if not result.passed:
+        raise typer.Exit(1)
+
+
+def export(
+    stack: Annotated[Path, typer.Argument(help="A stack EXR.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write.")],
+    projector: Annotated[
+        int | None, typer.Option(help="Whose frames, where there are several projectors.")
+    ] = None,
+) -> None:
+    """Write a stack as numbered PNGs and a manifest, for programs that read images."""
+    import scenes
+    from fringebench.export import export as run
+
+    Console(highlight=False).print(str(run(scenes.Stack.read(stack), output, projector)))
+
+
+def parse_seeds(text: str) -> tuple[int, ...]:
+    """Seeds from a list such as ``0-15`` or ``3,7,20-22``; raises `FringebenchError` for another form.
+
+    >>> parse_seeds("3,7-9")
+    (3, 7, 8, 9)
+    """
+    found: list[int] = []
+    for part in text.split(","):
+        ends = re.fullmatch(r"\s*(\d+)(?:-(\d+))?\s*", part)
+        if ends is None:
+            raise FringebenchError(f"--seeds '{text}': write whole numbers, such as 0-15 or 3,7,11")
+        first = int(ends[1])
+        found += range(first, int(ends[2] or first) + 1)
+    if len(set(found)) < 3:
+        raise FringebenchError(f"--seeds '{text}': give at least 3 different seeds")
+    return tuple(dict.fromkeys(found))
+
+
+def _print_json(value: object) -> None:
+    import json
+
+    sys.stdout.write(json.dumps(value, indent=2, allow_nan=False) + "\n")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the command line."""
+    app.command(
+        epilog="Example: fringebench regress my_package.decoder:decode --baseline mine.json"
+    )(regress)
+    app.command(epilog="Example: fringebench export stack.exr -o frames")(export)

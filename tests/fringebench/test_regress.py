@@ -1,0 +1,222 @@
+"""The gate lets an honest decoder through and catches each planted fault, in the case made for it."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fringebench.decoders import resolve
+from fringebench.regress import SEEDS, Baseline, regress
+from fringebench.suite import RENDERED, Case, suite
+from scenes.errors import DecoderError, FileError
+
+FAULTY = "tests.fringebench.faulty_decoders"
+
+pytest_plugins = ["pytester"]
+
+
+@pytest.fixture(scope="module")
+def cases() -> tuple[Case, ...]:
+    return suite()
+
+
+@pytest.fixture(scope="module")
+def sweep() -> tuple[Case, ...]:
+    return suite(("sweep",))
+
+
+@pytest.fixture(autouse=True)
+def from_the_repository(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Faulty decoders are named as a team would name its own: by module, from the folder worked in."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("fault", "where"),
+    [
+        ("ignores_saturation", ("sweep", "ratio-1.25", "systematic_mm")),
+        ("saturation_a_little_too_high", ("highlight", "highlight", "silent_fraction")),
+        ("trusts_everything", ("highlight", "unlit", "silent_fraction")),
+        ("shifted_mask", ("grains", "unlit", "silent_fraction")),
+        ("swapped_steps", ("ink-solder", "solder", "missing_fraction")),
+        ("one_percent_high", ("highlight", "cap", "bias_mm")),
+        ("boastful", ("solder", "base", "silent_fraction")),
+    ],
+)
+def test_planted_fault_is_caught_where_it_shows(
+    cases: tuple[Case, ...], fault: str, where: tuple[str, str, str]
+) -> None:
+    found = regress(f"{FAULTY}:{fault}", cases=cases, seeds=range(500, 508))
+    failed = {(row.case, row.region, row.metric): row for row in found.failed}
+    assert where in failed
+    assert failed[where].comparison.verdict == "worse"
+    assert f"{where[0]} / {where[1]}" in found.describe()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("run", range(20))
+def test_honest_decoder_passes_whatever_the_seeds(cases: tuple[Case, ...], run: int) -> None:
+    seeds = range(1000 + 16 * run, 1016 + 16 * run)
+    found = regress(f"{FAULTY}:honest", cases=cases, seeds=seeds)
+    assert found.passed, found.describe()
+
+
+@pytest.mark.slow
+def test_honest_decoder_that_claims_no_sigma_passes(cases: tuple[Case, ...]) -> None:
+    found = regress(f"{FAULTY}:without_sigma", cases=cases)
+    assert found.passed, found.describe()
+
+
+def test_biased_decoder_fails_and_its_baseline_stays(
+    sweep: tuple[Case, ...], tmp_path: Path
+) -> None:
+    file = tmp_path / "baseline.json"
+    first = regress(f"{FAULTY}:honest", file, update=True, cases=sweep, seeds=range(4))
+    assert first.updated
+    before = file.read_text()
+    found = regress(f"{FAULTY}:one_percent_high", file, update=True, cases=sweep, seeds=range(4))
+    assert not found.passed
+    assert not found.updated
+    assert file.read_text() == before
+    bias = next(row for row in found.failed if row.metric == "bias_mm")
+    # one percent of the sweep's 2 mm
+    assert bias.comparison.difference == pytest.approx(0.02, abs=0.001)
+
+
+def test_improvement_is_reported_and_stored(sweep: tuple[Case, ...], tmp_path: Path) -> None:
+    file = tmp_path / "baseline.json"
+    regress(f"{FAULTY}:one_percent_high", file, update=True, cases=sweep, seeds=range(4))
+    found = regress(f"{FAULTY}:honest", file, update=True, cases=sweep, seeds=range(4))
+    assert {row.metric for row in found.improved} >= {"bias_mm"}
+    assert found.updated
+    assert Baseline.read(file).decoder == f"{FAULTY}:honest"
+
+
+def test_same_decoder_twice_differs_by_nothing(sweep: tuple[Case, ...], tmp_path: Path) -> None:
+    file = tmp_path / "baseline.json"
+    for _ in range(2):
+        found = regress(f"{FAULTY}:honest", file, update=True, cases=sweep, seeds=range(4))
+    assert found.passed
+    assert {row.comparison.difference for row in found.rows} == {0.0}
+
+
+@pytest.mark.parametrize(
+    ("spec", "named"),
+    [
+        ("no.such.module:decode", "cannot be imported"),
+        (f"{FAULTY}:nothing", "cannot be imported"),
+        (f"{FAULTY}:not_callable", "callable"),
+        ("just-a-program", "neither"),
+        (f"{FAULTY}:raises", "lens cap on"),
+        (f"{FAULTY}:of_another_size", r"shape \(3, 3\)"),
+        ("no-such-program {stack} {output}", "cannot be run"),
+        (f"{sys.executable} -c raise(SystemExit(3)) {{stack}} {{output}}", "status 3"),
+        (f"{sys.executable} -c pass {{manifest}} {{output}}", "wrote 0"),
+    ],
+)
+def test_decoder_that_cannot_be_run_is_named(
+    sweep: tuple[Case, ...], spec: str, named: str
+) -> None:
+    with pytest.raises(DecoderError, match=named):
+        regress(spec, cases=sweep, seeds=range(3))
+
+
+PROGRAM = """
+import sys
+import numpy as np, cv2
+import decode
+from scenes import Stack
+from scenes.capture import Capture
+
+source, output = sys.argv[1:]
+stack = Stack.read(source) if source.endswith(".exr") else Capture.load(source).stack()
+rec = decode.reconstruct(stack)
+heights = np.where(rec.valid, rec.height_mm, np.nan)
+if output.endswith(".npy"):
+    np.save(output, np.stack([rec.height_mm, rec.valid, rec.sigma_mm]))
+elif output.endswith(".tif"):
+    cv2.imwrite(output, heights)
+else:
+    rec.write(output)
+"""
+
+
+@pytest.mark.parametrize(
+    ("source", "suffix"), [("{stack}", ".exr"), ("{manifest}", ".npy"), ("{manifest}", ".tif")]
+)
+def test_program_gives_the_heights_a_callable_gives(
+    sweep: tuple[Case, ...], tmp_path: Path, source: str, suffix: str
+) -> None:
+    program = tmp_path / "my decoder.py"
+    program.write_text(PROGRAM)
+    stack = sweep[0].stack(3)
+    theirs = resolve(f"{sys.executable} '{program}' {source} {{output}}{suffix}")(stack)
+    ours = resolve(f"{FAULTY}:honest")(stack)
+    np.testing.assert_allclose(theirs.height_mm, ours.height_mm, atol=1e-5)
+    assert (theirs.sigma_mm is None) == (suffix == ".tif")
+
+
+def test_unusable_baselines_are_refused(sweep: tuple[Case, ...], tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="--update"):
+        regress(f"{FAULTY}:honest", tmp_path / "absent.json", cases=sweep)
+    with pytest.raises(FileError, match="--baseline"):
+        regress(f"{FAULTY}:honest", update=True, cases=sweep)
+    broken = tmp_path / "broken.json"
+    for text in ("{", "{}", '{"format": "other", "version": 1}', "[]"):
+        broken.write_text(text)
+        with pytest.raises(FileError, match=r"broken\.json"):
+            regress(f"{FAULTY}:honest", broken, cases=sweep)
+
+
+def test_shipped_baseline_holds_every_case() -> None:
+    shipped = Path(__file__).parents[2] / "fringebench" / "baselines" / "default.json"
+    assert set(Baseline.read(shipped).figures) == {"sweep", *RENDERED}
+
+
+def test_plugin_fails_a_test_whose_decoder_got_worse(pytester: pytest.Pytester) -> None:
+    pytester.makepyfile(
+        f"""
+        import pytest
+        from fringebench.suite import suite
+
+        @pytest.fixture(scope="session")
+        def fringebench_cases():
+            return suite(("sweep",))
+
+        def test_honest(fringebench_regress):
+            fringebench_regress("{FAULTY}:honest", "baseline.json", seeds=range(4))
+
+        def test_biased(fringebench_regress):
+            fringebench_regress("{FAULTY}:one_percent_high", "baseline.json", seeds=range(4))
+        """
+    )
+    options = ["-p", "fringebench.pytest_plugin", "-p", "no:cacheprovider"]
+    made = pytester.runpytest_inprocess(*options, "--fringebench-update", "-k", "honest")
+    made.assert_outcomes(passed=1)
+    checked = pytester.runpytest_inprocess(*options)
+    checked.assert_outcomes(passed=1, failed=1)
+    checked.stdout.fnmatch_lines(["*got worse than baseline.json*", "*sweep / ratio-0.90: bias*"])
+
+
+@pytest.mark.slow
+def test_command_line_gives_status_and_json(tmp_path: Path) -> None:
+    def run(*words: str) -> "subprocess.CompletedProcess[str]":
+        root = Path(__file__).parents[2]
+        return subprocess.run(
+            [sys.executable, "-m", "fringebench", *words],
+            capture_output=True, text=True, check=False, cwd=root,
+        )  # fmt: skip
+
+    good = run("regress", "decode:reconstruct", "--json")
+    assert good.returncode == 0, good.stderr
+    assert json.loads(good.stdout)["passed"] is True
+    bad = run("regress", f"{FAULTY}:ignores_saturation", "--seeds", "0-7")
+    assert bad.returncode == 1
+    assert "highlight / highlight" in bad.stdout
+    assert run("regress", "nonsense").returncode == 2
+    assert run("regress", "decode:reconstruct", "--seeds", "1").returncode == 2
+    assert len(SEEDS) == 16

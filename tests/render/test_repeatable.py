@@ -1,0 +1,47 @@
+"""The same seed gives the same bits, however many threads share the work."""
+
+import numpy as np
+import pytest
+import trimesh
+
+import render
+import scenes
+from render.normals import vertex_normals
+from render.variant import dr, use
+
+
+@pytest.fixture
+def threads():
+    use()
+    before = dr.thread_count()
+    yield dr.set_thread_count
+    dr.set_thread_count(before)
+
+
+def test_light_on_smooth_surfaces_depends_on_no_thread(threads) -> None:
+    # A quarter of a million triangles, shaded smoothly: what Mitsuba's own normals, summed by several threads, change.
+    scene = scenes.load("spi", {"camera.resolution": [96, 72], "sampling.samples": 1})
+    taken = []
+    for count in (1, 3):
+        threads(count)
+        transport = render.trace(scene, seed=5)
+        truth = render.truth(scene, transport)
+        taken.append((transport.total, truth.xyz_mm, truth.direct_fraction))
+    for one, three in zip(*taken, strict=True):
+        np.testing.assert_array_equal(one, three)
+
+
+def test_vertex_normals_are_those_of_the_smooth_shape_behind_the_triangles() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=4)
+    normals = vertex_normals(ball.vertices, ball.faces)
+    # On a sphere the error is of second order in the edge's angle: 0.069 rad here, so 0.069^2 / 4.
+    longest = float(ball.edges_unique_length.max())
+    assert np.abs(normals - ball.vertices).max() < longest**2 / 4
+
+
+def test_a_vertex_without_a_triangle_still_has_a_unit_normal() -> None:
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 5, 5.0], [2, 0, 0]])
+    faces = np.array([[0, 1, 2], [0, 1, 4]])  # the second is flat as a line
+    normals = vertex_normals(vertices, faces)
+    np.testing.assert_array_equal(normals[:4], np.tile([0.0, 0.0, 1.0], (4, 1)))
+    np.testing.assert_array_equal(normals[4], [0.0, 0.0, 1.0])
