@@ -10,6 +10,8 @@ import typer
 from rich.console import Console
 
 import scenes
+from fringebench.commands_compare import register as register_compare
+from fringebench.commands_regress import register as register_regress
 from fringebench.overrides import parse_overrides
 from scenes.errors import FringebenchError
 
@@ -233,6 +235,10 @@ def doctor(as_json: AsJson = False) -> None:
             _console().print(f"[bold red]missing:[/] {problem}")
     if not diagnosis.healthy:
         raise typer.Exit(2)
+
+
+register_compare(app)
+register_regress(app)
 
 
 def main() -> None:
