@@ -57,6 +57,7 @@ def truth(scene: Scene, transport: Transport | None = None) -> Truth:
     xyz = np.full((count, 3), np.nan, np.float32)
     normal = np.full((count, 3), np.nan, np.float32)
     label = np.zeros(count, np.uint16)
+    pad, material = np.zeros(count, np.uint32), np.zeros(count, np.uint16)
     lit = np.zeros((len(projectors), count), np.bool_)
     image = np.full((2, len(projectors), count), np.nan, np.float32)
     for start in range(0, count, BLOCK):
@@ -66,6 +67,7 @@ def truth(scene: Scene, transport: Transport | None = None) -> Truth:
         triangle, at = triangle[hit], start + hit
         point, facing = surface.meet(triangle, origin[hit], direction[hit])
         xyz[at], normal[at], label[at] = point, facing, surface.label[triangle]
+        pad[at], material[at] = surface.pad[triangle], surface.material[triangle]
         for p, projection in enumerate(projectors):
             where, _ = projection.project(point)
             image[:, p, at] = where.T
@@ -81,6 +83,9 @@ def truth(scene: Scene, transport: Transport | None = None) -> Truth:
         image[1].reshape(-1, *shape),
         _direct_fraction(scene, transport, label > 0),
         dumps(scene),
+        pad.reshape(shape) if scene.board else None,
+        material.reshape(shape),
+        surface.materials,
     )
 
 
@@ -91,7 +96,10 @@ class _Surface:
     corners: Points
     """(triangle, 3, 3) world mm."""
     label: NDArray[np.uint16]
-    """Of each triangle."""
+    """Of each triangle, as are `pad` and `material`."""
+    pad: NDArray[np.uint32]
+    material: NDArray[np.uint16]
+    materials: tuple[str, ...]
     centre: Points
     radius: float
     """Of a sphere around everything."""
@@ -102,6 +110,13 @@ class _Surface:
     def of(cls, scene: Scene) -> "_Surface":
         surfaces = parts(scene)
         ids = [scene.labels.index(part.label) + 1 for part in surfaces]
+        counts = [len(part.mesh.faces) for part in surfaces]
+        pads = [
+            np.zeros(n, np.uint32) if part.face_pad is None else part.face_pad.astype(np.uint32)
+            for part, n in zip(surfaces, counts, strict=True)
+        ]
+        materials = tuple(dict.fromkeys(part.material_name for part in surfaces))
+        made_of = [materials.index(part.material_name) + 1 for part in surfaces]
         mesh = trimesh.util.concatenate([part.mesh for part in surfaces])
         low, high = mesh.bounds
         centre = (low + high) / 2
@@ -111,7 +126,10 @@ class _Surface:
         whole = Part("", mesh, Diffuse(reflectance=0.5), smooth=False)
         return cls(
             corners,
-            np.repeat(ids, [len(part.mesh.faces) for part in surfaces]).astype(np.uint16),
+            np.repeat(ids, counts).astype(np.uint16),
+            np.concatenate(pads),
+            np.repeat(made_of, counts).astype(np.uint16),
+            materials,
             centre,
             float(np.linalg.norm(high - low)) / 2,
             mi.load_dict(geometry([whole])),
@@ -211,5 +229,5 @@ def _white(scene: Scene) -> Scene:
 
 
 def _same_light(scene: Scene, other: Scene) -> bool:
-    keys = ("camera", "projectors", "objects", "materials")
+    keys = ("camera", "projectors", "objects", "board", "materials")
     return all(getattr(scene, key) == getattr(other, key) for key in keys)

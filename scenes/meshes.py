@@ -22,6 +22,8 @@ class Part:
     material: Material
     smooth: bool
     """Shade with vertex normals instead of the triangles' own."""
+    material_name: str = ""
+    """As the scene names it."""
     face_pad: NDArray[np.int32] | None = None
     """(face,) id of the board's pad that each triangle belongs to, 0 for none; None: no board's part."""
 
@@ -29,7 +31,13 @@ class Part:
 def parts(scene: Scene) -> tuple[Part, ...]:
     """Every object and the board as placed, checked meshes with their materials; `MeshError` if one is unusable."""
     own = [
-        Part(item.label, _placed(item), material(item.material, scene.materials), item.smooth)
+        Part(
+            item.label,
+            _placed(item),
+            material(item.material, scene.materials),
+            item.smooth,
+            item.material,
+        )
         for item in scene.objects
     ]
     printed = bodies(scene.board) if scene.board else ()
@@ -52,7 +60,14 @@ def meshes(scene: Scene) -> dict[str, trimesh.Trimesh]:
 def _part(body: Body, scene: Scene) -> Part:
     mesh = trimesh.Trimesh(body.vertices, body.faces, process=False)
     _check(mesh, body.label)
-    return Part(body.label, mesh, material(body.material, scene.materials), body.smooth, body.pad)
+    return Part(
+        body.label,
+        mesh,
+        material(body.material, scene.materials),
+        body.smooth,
+        body.material,
+        body.pad,
+    )
 
 
 def _placed(item: Object) -> trimesh.Trimesh:

@@ -35,6 +35,11 @@ class Truth:
     """(projector, row, col) share of direct light in the white-pattern radiance, [0, 1]; NaN where dark."""
     scene: str = ""
     """TOML of the scene."""
+    pad: NDArray[np.uint32] | None = None
+    """(row, col) id of the board's pad that the paste, or the bare copper, belongs to; 0 none. None: no board."""
+    material: NDArray[np.uint16] | None = None
+    """(row, col) index into `materials` plus 1; 0 is nothing."""
+    materials: tuple[str, ...] = ()
 
     @property
     def height_mm(self) -> Floats:
@@ -51,6 +56,9 @@ class Truth:
     def write(self, path: str | Path) -> None:
         """Write as EXR: ``xyz.X Y Z``, ``N.X Y Z``, ``label``, and per projector ``P0.lit P0.column ...``."""
         channels: dict[str, NDArray[Any]] = {"label": self.label.astype(np.uint32)}
+        for name, ids in (("pad", self.pad), ("material", self.material)):
+            if ids is not None:
+                channels[name] = ids.astype(np.uint32)
         for i, axis in enumerate("XYZ"):
             channels[f"xyz.{axis}"] = self.xyz_mm[..., i]
             channels[f"N.{axis}"] = self.normal[..., i]
@@ -68,6 +76,7 @@ class Truth:
                 "direct": "1",
             },
             "labels": list(self.labels),
+            "materials": list(self.materials),
             "projectors": len(self.lit),
             "scene": self.scene,
         }
@@ -89,6 +98,9 @@ class Truth:
                 np.stack([channels[f"P{p}.row"] for p in projectors]),
                 np.stack([channels[f"P{p}.direct"] for p in projectors]),
                 str(meta["scene"]),
+                channels["pad"].astype(np.uint32) if "pad" in channels else None,
+                channels["material"].astype(np.uint16) if "material" in channels else None,
+                tuple(str(name) for name in meta.get("materials", ())),
             )
         except (KeyError, TypeError, ValueError) as error:
             raise FileError(

@@ -32,18 +32,23 @@ def truth() -> Truth:
         image(PROJECTORS),
         image(PROJECTORS),
         'name = "x"\n',
+        rng.integers(0, 2**20, (ROWS, COLUMNS)).astype(np.uint32),
+        rng.integers(0, 3, (ROWS, COLUMNS)).astype(np.uint16),
+        ("solder-paste", "gold"),
     )
 
 
 def test_every_map_survives_bit_by_bit(truth: Truth, tmp_path: Path) -> None:
     truth.write(tmp_path / "t.exr")
     back = Truth.read(tmp_path / "t.exr")
-    for field in ("xyz_mm", "normal", "label", "lit", "column_px", "row_px", "direct_fraction"):
+    maps = ("xyz_mm", "normal", "label", "lit", "column_px", "row_px", "direct_fraction")
+    for field in (*maps, "pad", "material"):
         ours, theirs = getattr(truth, field), getattr(back, field)
         assert ours.dtype == theirs.dtype, field
         assert ours.shape == theirs.shape, field
         assert ours.tobytes() == np.ascontiguousarray(theirs).tobytes(), field
     assert (back.labels, back.scene) == (truth.labels, truth.scene)
+    assert back.materials == truth.materials
 
 
 def test_height_is_the_worlds_z_and_regions_follow_labels(truth: Truth) -> None:
