@@ -16,6 +16,8 @@ from scenes.truth import Truth
 FIGURES = ("coverage", "bias_mm", "rms_mm", "sd_mm", "outlier_fraction", "flagged_fraction")
 # A strategy that covers less than the best by more than this is not its equal, however small its error.
 COVERAGE_MARGIN = 0.01
+# Heights of one pixel that differ by more than this many predicted sigmas have different fringe orders.
+SAME_ORDER_SIGMAS = 20.0
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,9 @@ class Region:
     phase_bias_rad: float | None
     """Root mean square over pixels of what repeats leave of the phase error: saturation's and the decoder's, not the
     scene's, for the noise-free light's own phase counts as true."""
+    systematic_mm: float | None
+    """Root mean square over pixels of each pixel's mean height error over the repeats, noise taken off: what `bias_mm`
+    averages away where errors of both signs meet, as those of clipped fringes do. The scene's own errors are in it."""
     sigma_ratio: float | None
     """Observed scatter of heights over the repeats / predicted sigma, root mean square over pixels."""
     rms_mm: tuple[float, ...]
@@ -59,6 +64,7 @@ class Region:
         return {
             "pixels": self.pixels,
             **{name: None if e is None else e.value for name, e in named.items()},
+            "systematic_mm": self.systematic_mm,
             "phase_bias_rad": self.phase_bias_rad,
             "sigma_ratio": self.sigma_ratio,
             "half_width": {name: None if e is None else e.half_width for name, e in named.items()},
@@ -102,7 +108,7 @@ def summary(
 ) -> dict[str, Region]:
     """A strategy's regions by label, from its repeats and the bound (row, col) of its frames, None if there is none."""
     return {
-        label: _region(repeats, label, scored(truth, label, margin_px), bound_rad2)
+        label: _region(repeats, label, truth, scored(truth, label, margin_px), bound_rad2)
         for label in truth.labels
     }
 
@@ -110,6 +116,7 @@ def summary(
 def _region(
     repeats: Sequence[Repeat],
     label: str,
+    truth: Truth,
     mask: NDArray[np.bool_],
     bound_rad2: NDArray[np.float64] | None,
 ) -> Region:
@@ -121,30 +128,35 @@ def _region(
     reached = None
     if len(repeats) > 1 and bound_rad2 is not None:
         reached = efficiency(np.stack([r.error_rad[mask] for r in repeats]), bound_rad2[mask])
+    systematic, ratio = _scatter(repeats, truth.height_mm, mask)
     rms = [s.rms_mm for s in scores if s.rms_mm is not None]
     return Region(
         pixels=scores[0].pixels,
         figures=figures,
         efficiency=None if reached is None else Estimate(reached.value, reached.half_width),
         phase_bias_rad=None if reached is None else reached.bias_rad,
-        sigma_ratio=_sigma_ratio(repeats, mask),
+        systematic_mm=systematic,
+        sigma_ratio=ratio,
         rms_mm=tuple(rms) if len(rms) == len(repeats) else (),
     )
 
 
-def _sigma_ratio(repeats: Sequence[Repeat], mask: NDArray[np.bool_]) -> float | None:
-    """Scatter over prediction, where every repeat is valid and has the same fringe order."""
+def _scatter(
+    repeats: Sequence[Repeat], true_mm: NDArray[np.floating], mask: NDArray[np.bool_]
+) -> tuple[float | None, float | None]:
+    """Systematic error, and scatter over prediction, where every repeat is valid and has the same fringe order."""
     if len(repeats) < 2:
-        return None
-    height = np.stack([r.height_mm[mask] for r in repeats]).astype(np.float64)
+        return None, None
+    error = np.stack([r.height_mm[mask] - true_mm[mask] for r in repeats]).astype(np.float64)
     sigma2 = np.mean([r.sigma_mm[mask].astype(np.float64) ** 2 for r in repeats], axis=0)
     # a wrong order is no noise: it lies far beyond what noise can do
     with np.errstate(invalid="ignore"):
-        good = np.ptp(height, axis=0) < 20.0 * np.sqrt(sigma2)
+        good = np.ptp(error, axis=0) < SAME_ORDER_SIGMAS * np.sqrt(sigma2)
     if not good.any():
-        return None
-    ratio = height[:, good].var(axis=0, ddof=1) / sigma2[good]
-    return float(np.sqrt(ratio.mean()))
+        return None, None
+    variance = error[:, good].var(axis=0, ddof=1)
+    bias2 = np.mean(error[:, good].mean(axis=0) ** 2 - variance / len(repeats))
+    return float(np.sqrt(max(bias2, 0.0))), float(np.sqrt(np.mean(variance / sigma2[good])))
 
 
 @dataclass(frozen=True, eq=False)

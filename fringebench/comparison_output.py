@@ -95,7 +95,9 @@ def figure(result: Comparison, budget: str) -> Figure:
     labels = _labels(result)
     height = 0.7 + len(labels) * (0.5 + 0.2 * len(entries))
     drawing = Figure(figsize=(9.0, height), layout="constrained")
-    drawing.suptitle(f"{result.scene}, {budget}: {result.repeats} repeats, 95 % intervals")
+    drawing.suptitle(
+        f"{result.scene}, {budget}: {result.repeats} repeats, 95 % intervals; blue: smallest RMS error, or tied with it"
+    )
     grid = drawing.subplots(len(labels), 2, squeeze=False, sharey="row")
     for (left, right), label in zip(grid, labels, strict=True):
         best = result.best(budget, label)
@@ -114,6 +116,7 @@ def figure(result: Comparison, budget: str) -> Figure:
         left.set_yticks(range(len(entries)), [e.name for e in entries])
         left.invert_yaxis()
         right.axvline(1.0, color="black", linewidth=0.8)
+        right.set_xlim(0.0, max(1.1, right.get_xlim()[1]))
     return drawing
 
 
