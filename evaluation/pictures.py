@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from decode import Reason, Reconstruction
-from evaluation.figures import map_figure
+from evaluation.figures import map_axes, map_figure
 from scenes.stack import Stack
 from scenes.truth import Truth
 
@@ -109,11 +109,7 @@ def reason_map(rec: Reconstruction) -> Figure:
         VALID if r is Reason.OK else REASON_COLOURS[int(r) % len(REASON_COLOURS)] for r in present
     ]
     index = np.searchsorted([int(r) for r in present], rec.reason)
-    rows, cols = rec.reason.shape
-    figure = Figure(
-        figsize=(6.4, 6.4 * min(max(rows / cols, 0.3), 2.0) * 0.85 + 0.4), layout="constrained"
-    )
-    axes = figure.subplots()
+    figure, axes = map_axes((rec.reason.shape[0], rec.reason.shape[1]), right=2.3)
     norm = BoundaryNorm(np.arange(len(present) + 1) - 0.5, len(present))
     axes.imshow(index, cmap=ListedColormap(colours), norm=norm, interpolation="nearest")
     axes.set(
@@ -121,7 +117,14 @@ def reason_map(rec: Reconstruction) -> Figure:
     )
     handles = [axes.scatter([], [], marker="s", s=60, color=c, edgecolors="gray") for c in colours]
     names = [f"{r.label}: {100 * shares.get(r.label, 0.0):.2f} %" for r in present]
-    figure.legend(handles, names, loc="outside right upper", fontsize="small")
+    axes.legend(
+        handles,
+        names,
+        loc="upper left",
+        bbox_to_anchor=(1.02, 1.0),
+        borderaxespad=0,
+        fontsize="small",
+    )
     return figure
 
 

@@ -1,6 +1,7 @@
 """A report: one self-contained HTML page of text, tables, pictures and a 3-D surface. Needs no network to open."""
 
 import base64
+import gzip
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -38,6 +39,8 @@ class Grid:
     caption: str = ""
     words: bool = False
     """Cells are text, not numbers: left aligned, and they may wrap."""
+    best: Sequence[int] = ()
+    """Rows to be printed bold, counted from 0."""
 
 
 @dataclass(frozen=True)
@@ -61,9 +64,10 @@ class Surface:
 
     height_mm: NDArray[np.floating]
     """Measured (row, col), NaN where nothing is measured."""
-    truth_mm: NDArray[np.floating]
+    truth_mm: NDArray[np.floating] | None
+    """True heights (row, col); None where they are not known: colour then shows height."""
     xyz_mm: NDArray[np.floating]
-    """True points (row, col, 3): where each pixel lies in the world."""
+    """Points (row, col, 3): where each pixel lies in the world."""
     caption: str = ""
 
     def to_json(self) -> str:
@@ -72,35 +76,43 @@ class Surface:
         stride = max(1, int(np.ceil(np.sqrt(rows * cols / SURFACE_POINTS))))
         # The middle pixel of each block, and its own numbers: nothing is averaged.
         pick = (slice(stride // 2, None, stride), slice(stride // 2, None, stride))
-        height, true = self.height_mm[pick], self.truth_mm[pick]
-        error = (height - true) * UM_PER_MM
-        known = np.abs(error[np.isfinite(error)])
-        limit = float(np.percentile(known, 99)) if known.size else 1.0
+        height = self.height_mm[pick]
         row, col = np.meshgrid(
             *(np.arange(n)[s] for n, s in zip((rows, cols), pick, strict=True)), indexing="ij"
         )
-        hover = np.stack([col, row, height, true, error], axis=-1).astype(np.float32)
+        hover = [col, row, height]
+        text = "pixel (%{customdata[0]}, %{customdata[1]})<br>height %{customdata[2]:.4f} mm"
+        if self.truth_mm is None:
+            shown, scale, title = height, "Viridis", "height (mm)"
+            low, high = (float(v) for v in np.nanpercentile(height, [0.5, 99.5]))
+        else:
+            true = self.truth_mm[pick]
+            error = (height - true) * UM_PER_MM
+            known = np.abs(error[np.isfinite(error)])
+            high = float(np.percentile(known, 99)) if known.size else 1.0
+            low, scale, title = -high, "RdBu_r", "error (µm)"
+            shown = np.clip(error, -10 * high, 10 * high)
+            hover += [true, error]
+            text += "<br>truth %{customdata[3]:.4f} mm<br>error %{customdata[4]:.1f} µm"
         figure = go.Figure(
             go.Surface(
                 x=self.xyz_mm[pick][..., 0].astype(np.float32),
                 y=self.xyz_mm[pick][..., 1].astype(np.float32),
                 z=height.astype(np.float32),
-                surfacecolor=np.clip(error, -10 * limit, 10 * limit).astype(np.float32),
-                customdata=hover,
-                cmin=-limit,
-                cmax=limit,
-                colorscale="RdBu_r",
-                colorbar={"title": {"text": "error (µm)"}},
-                hovertemplate=(
-                    "pixel (%{customdata[0]}, %{customdata[1]})<br>height %{customdata[2]:.4f} mm<br>"
-                    "truth %{customdata[3]:.4f} mm<br>error %{customdata[4]:.1f} µm<extra></extra>"
-                ),
+                surfacecolor=shown.astype(np.float32),
+                customdata=np.stack(hover, axis=-1).astype(np.float32),
+                cmin=low,
+                cmax=high,
+                colorscale=scale,
+                colorbar={"title": {"text": title}},
+                hovertemplate=text + "<extra></extra>",
             )
         )
         span = np.nanmax(self.xyz_mm[..., :2], axis=(0, 1)) - np.nanmin(
             self.xyz_mm[..., :2], axis=(0, 1)
         )
-        tall = float(np.nanmax(true) - np.nanmin(true)) if np.isfinite(true).any() else 1.0
+        solid = height if self.truth_mm is None else self.truth_mm
+        tall = float(np.nanmax(solid) - np.nanmin(solid)) if np.isfinite(solid).any() else 1.0
         # Heights are stretched so that they show beside a field many times as wide.
         stretch = max(tall / float(span.max()), 0.2)
         figure.update_layout(
@@ -114,9 +126,9 @@ class Surface:
                 "camera": {"eye": {"x": 0.0, "y": -1.5, "z": 1.2}},
             },
         )
-        text: str = figure.to_json()
+        json: str = figure.to_json()
         # A closing script tag inside a string would end the page's script.
-        return text.replace("</", "<\\/")
+        return json.replace("</", "<\\/")
 
 
 Block = Picture | Grid | Paragraph | Listing | Surface
@@ -150,7 +162,7 @@ class Report:
         environment.filters["data_url"] = _data_url
         environment.tests["instance_of"] = lambda block, name: type(block).__name__ == name
         blocks = [block for section in self.sections for block in section.blocks]
-        script = get_plotlyjs() if any(isinstance(b, Surface) for b in blocks) else ""
+        script = _packed(get_plotlyjs()) if any(isinstance(b, Surface) for b in blocks) else ""
         return environment.get_template("report.html.j2").render(report=self, plotly=script)
 
     def write(self, path: str | Path) -> None:
@@ -158,6 +170,10 @@ class Report:
         text = self.html()
         with replacing(path) as beside:
             beside.write_text(text, "utf-8")
+
+
+def _packed(script: str) -> str:
+    return base64.b64encode(gzip.compress(script.encode(), 6, mtime=0)).decode("ascii")
 
 
 def _data_url(figure: Figure) -> str:

@@ -125,7 +125,8 @@ def _score_grid(score: evaluation.Score, caption: str) -> Grid:
 
 def number(value: float | None, scale: float, digits: int) -> str:
     """A figure in the unit asked for; a dash where there is none."""
-    return "-" if value is None else f"{value * scale:.{digits}f}"
+    # Adding 0.0 makes a rounded -0.0 plain.
+    return "-" if value is None else f"{round(value * scale, digits) + 0.0:.{digits}f}"
 
 
 def _surface(rec: decode.Reconstruction, truth: scenes.Truth) -> Surface:
