@@ -43,6 +43,8 @@ class Harmonics:
     """RMS of the samples about their own least-squares sinusoid, relative to the modulation; 0 for three steps."""
     noise: float
     """The residual that the sensor's noise alone makes."""
+    second_residual: float
+    """The residual that the second harmonic alone makes; 0 for three steps."""
 
 
 def harmonics(stack: Stack, fringes: FringeSet, exposure: int = 0) -> Harmonics:
@@ -54,7 +56,7 @@ def harmonics(stack: Stack, fringes: FringeSet, exposure: int = 0) -> Harmonics:
     samples = _samples(stack, fringes, exposure)
     nothing = float("nan")
     if samples.shape[1] < FEWEST_PIXELS:
-        return Harmonics(nothing, nothing, nothing, nothing, nothing)
+        return Harmonics(*[nothing] * 6)
     a, c, s = solution(fringes) @ samples
     modulation, phase = np.hypot(c, s), np.arctan2(s, c)
     shifts = np.asarray(fringes.shifts_rad)
@@ -66,12 +68,13 @@ def harmonics(stack: Stack, fringes: FringeSet, exposure: int = 0) -> Harmonics:
     relative = (samples - fit) / modulation
     residual = float(np.sqrt(np.mean(relative**2)))
     noise = float(np.sqrt(np.mean(variance / modulation**2) * free / steps))
+    share = 0.0
     if free:
-        second, error = _from_residual(relative, phase, fringes)
+        second, error, share = _from_residual(relative, phase, fringes)
     else:
         second, error = _from_histogram(phase, shifts)
-    known = np.isfinite(second)
-    return Harmonics(second, error, _gamma(second, fringes) if known else nothing, residual, noise)
+    gamma = _gamma(second, fringes) if np.isfinite(second) else nothing
+    return Harmonics(second, error, gamma, residual, noise, share)
 
 
 def estimate(stack: Stack, projector: int = 0, exposure: int = 0) -> float:
@@ -139,18 +142,19 @@ def _measured(gamma: float, fringes: FringeSet, true: NDArray[np.float64]) -> ND
 
 def _from_residual(
     relative: NDArray[np.float64], phase: NDArray[np.float64], fringes: FringeSet
-) -> tuple[float, float]:
-    """Second harmonic by least squares over all pixels: what of cos 2(phi + shift) a sinusoid's fit leaves."""
+) -> tuple[float, float, float]:
+    """Second harmonic by least squares over all pixels: what of cos 2(phi + shift) a sinusoid's fit leaves; its error, its residual."""
     shifts = np.asarray(fringes.shifts_rad)
     design = np.stack([np.ones_like(shifts), np.cos(shifts), -np.sin(shifts)], axis=1)
     left_over = np.eye(len(shifts)) - design @ solution(fringes)
     shape = left_over @ np.cos(2.0 * (phase + shifts[:, None]))
     power = float((shape**2).sum())
     if power < 1e-9 * shape.size:
-        return float("nan"), float("nan")
+        return float("nan"), float("nan"), 0.0
     second = float((shape * relative).sum() / power)
     left = relative - second * shape
-    return second, float(np.sqrt(np.mean(left**2) / power))
+    share = abs(second) * float(np.sqrt(power / shape.size))
+    return second, float(np.sqrt(np.mean(left**2) / power)), share
 
 
 def _from_histogram(phase: NDArray[np.float64], shifts: NDArray[np.float64]) -> tuple[float, float]:
