@@ -33,26 +33,33 @@ class Surface:
 def surfaces(layout: Layout, stackup: Stackup) -> dict[str, Surface]:
     """Label -> triangles: `base` bare laminate, `mask`, and `pad` copper free of mask, with their upright edges."""
     faces, kinds, heights, pads = _faces(layout, stackup)
-    walls = _walls(faces, heights)
+    walls, wall_of = _walls(faces, heights)
     built = {}
     for label in ("base", "mask", "pad"):
-        chosen = [int(i) for i in np.flatnonzero(kinds == label)]
+        chosen = np.flatnonzero(kinds == label)
+        if not len(chosen):
+            continue
         tops = [_flat(faces[i], heights[i]) for i in chosen]
-        sides = [walls[i] for i in chosen if i in walls]
-        corners = np.concatenate([np.zeros((0, 3, 3)), *tops, *sides])
-        owner = [pads[i] for i in chosen] + [pads[i] for i in chosen if i in walls]
-        vertices, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
-        built[label] = Surface(
-            vertices,
-            index.reshape(-1, 3),
-            np.repeat(np.array(owner, dtype=np.int64), [len(t) for t in (*tops, *sides)]),
-        )
-    return {label: surface for label, surface in built.items() if len(surface.faces)}
+        beside = kinds[wall_of] == label
+        corners = np.concatenate([*tops, walls[beside]])
+        owner = np.concatenate([np.repeat(chosen, [len(top) for top in tops]), wall_of[beside]])
+        vertices, index = _shared(corners)
+        built[label] = Surface(vertices, index, pads[owner])
+    return built
+
+
+def _shared(corners: Floats) -> tuple[Floats, Ints]:
+    """(triangle, 3, 3) corners as vertices and triangles of them; corners were snapped, so equal ones are equal bits."""
+    flat = np.ascontiguousarray(corners.reshape(-1, 3))
+    _, first, index = np.unique(
+        flat.view([("x", "f8"), ("y", "f8"), ("z", "f8")]), return_index=True, return_inverse=True
+    )
+    return flat[first], index.reshape(-1, 3).astype(np.int64)
 
 
 def _faces(
     layout: Layout, stackup: Stackup
-) -> tuple[list[shapely.Polygon], NDArray[np.str_], Floats, list[int]]:
+) -> tuple[list[shapely.Polygon], NDArray[np.str_], Floats, Ints]:
     """The plane's faces: polygons wound counter-clockwise, label, height, pad id."""
     copper, openings, board = (
         shapely.set_precision(area, GRID_MM)
@@ -71,7 +78,7 @@ def _faces(
     kinds = np.select([bare & metal, bare], ["pad", "base"], "mask")
     covered = stackup.mask_mm + stackup.copper_mm * metal
     heights = np.select([bare & metal, bare], [stackup.pad_mm, 0.0], covered)
-    owner = [0] * len(cut)
+    owner = np.zeros(len(cut), dtype=np.int64)
     if layout.pads:
         middles = np.array([pad.outline.point_on_surface() for pad in layout.pads])
         face, pad = shapely.STRtree(middles).query(cut, predicate="intersects")
@@ -91,8 +98,11 @@ def _flat(polygon: shapely.Polygon, height_mm: float) -> Floats:
     return np.concatenate([xy, np.full((*xy.shape[:2], 1), height_mm)], axis=-1)
 
 
-def _walls(faces: list[shapely.Polygon], heights: Floats) -> dict[int, Floats]:
-    """Face -> (triangle, 3, 3) of the walls down to its lower neighbours; the board's own rim stays open."""
+def _walls(faces: list[shapely.Polygon], heights: Floats) -> tuple[Floats, Ints]:
+    """(triangle, 3, 3) of the walls from each face down to its lower neighbours, and (triangle,) the face.
+
+    The board's own rim stays open.
+    """
     starts, ends, owner = [], [], []
     for i, face in enumerate(faces):
         for ring in (face.exterior, *face.interiors):
@@ -101,7 +111,9 @@ def _walls(faces: list[shapely.Polygon], heights: Floats) -> dict[int, Floats]:
             ends.append(corners[1:])
             owner.append(np.full(len(corners) - 1, i))
     start, end, face_of = np.concatenate(starts), np.concatenate(ends), np.concatenate(owner)
-    _, number = np.unique(np.concatenate([start, end]), axis=0, return_inverse=True)
+    # Complex numbers sort by x, then y: a point's number is its place.
+    points = np.concatenate([start, end])
+    _, number = np.unique(points[:, 0] + 1j * points[:, 1], return_inverse=True)
     a, b = number[: len(start)], number[len(start) :]
     count = int(number.max()) + 1
     forth, back = a * count + b, b * count + a
@@ -109,14 +121,10 @@ def _walls(faces: list[shapely.Polygon], heights: Floats) -> dict[int, Floats]:
     place = np.minimum(np.searchsorted(forth[order], back), len(forth) - 1)
     # The same piece run the other way belongs to the face beyond it.
     shared = forth[order][place] == back
-    beyond = face_of[order][place]
-    high, low = heights[face_of], heights[beyond]
+    high, low = heights[face_of], heights[face_of[order][place]]
     stands = np.flatnonzero(shared & (high > low + 1e-12))
     upper_a, upper_b = (np.column_stack([p[stands], high[stands]]) for p in (start, end))
     lower_a, lower_b = (np.column_stack([p[stands], low[stands]]) for p in (start, end))
     first = np.stack([upper_a, lower_a, lower_b], axis=1)
     second = np.stack([upper_a, lower_b, upper_b], axis=1)
-    return {
-        int(i): np.concatenate([first[face_of[stands] == i], second[face_of[stands] == i]])
-        for i in np.unique(face_of[stands])
-    }
+    return np.concatenate([first, second]), np.tile(face_of[stands], 2)

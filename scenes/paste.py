@@ -143,15 +143,16 @@ def deposit(
     weights = mesh.weights_mm2 * (stretch[0] * stretch[1])
     shape = _shape(mesh, xy, form, paste, rng)
     peak = _peak(mesh, xy, form, paste)
-    taken = float(weights @ peak)
+    # Sums, not products of matrices: BLAS's order of adding depends on its threads, and so would the last bit.
+    taken = float((weights * peak).sum()) if form.peak_mm else 0.0
     if taken > PEAK_SHARE * volume_mm3:
         peak *= PEAK_SHARE * volume_mm3 / taken
         taken = PEAK_SHARE * volume_mm3
-    scale = (volume_mm3 - taken) / float(weights @ shape)
+    scale = (volume_mm3 - taken) / float((weights * shape).sum())
     height = scale * shape + peak
     if paste.texture == "granular":
         height = _grains(xy, height, paste, rng)
-        height *= volume_mm3 / float(weights @ height)
+        height *= volume_mm3 / float((weights * height).sum())
     return Heightfield(xy, mesh.faces, mesh.rims, height)
 
 
@@ -170,16 +171,20 @@ def _shape(
     deepest = float(depth.max())
     # A narrow deposit's shoulders meet in its middle.
     edge = min(form.edge_mm, max(deepest, 1e-9))
-    rise = shoulder(depth, edge, form.wall)
-    hollow = form.scoop * (1.0 - (1.0 - depth / max(deepest, 1e-9)) ** 2)
-    # A ridge across each end along the stroke, its crest where the shoulder ends.
-    along = mesh.xy_mm @ np.asarray(form.stroke)
-    from_end = np.minimum(along.max() - along, along - along.min())
-    ridge = np.exp(-((np.maximum(from_end - edge, 0.0) / (1.5 * edge)) ** 2))
-    lumps = form.roughness * _waves(xy, paste.lump_mm, rng) if form.roughness else 0.0
+    shape = shoulder(depth, edge, form.wall)
+    relief = np.zeros(1)
+    if form.scoop:
+        relief = relief - form.scoop * (1.0 - (1.0 - depth / max(deepest, 1e-9)) ** 2)
+    if form.dog_ear:
+        # A ridge across each end along the stroke, its crest where the shoulder ends.
+        along = mesh.xy_mm @ np.asarray(form.stroke)
+        from_end = np.minimum(along.max() - along, along - along.min())
+        beyond = np.maximum(from_end - edge, 0.0) / (1.5 * edge)
+        relief = relief + form.dog_ear * np.exp(-(beyond**2))
+    if form.roughness:
+        relief = relief + form.roughness * _waves(xy, paste.lump_mm, rng)
     # Lumps of three sd and a deep scoop together may not cut through to the pad.
-    shape: Floats = rise * np.maximum(1.0 - hollow + form.dog_ear * ridge + lumps, 0.05)
-    return shape
+    return shape * np.maximum(1.0 + relief, 0.05)
 
 
 def _peak(mesh: Tessellation, xy: Floats, form: Form, paste: Paste) -> Floats:
