@@ -140,7 +140,9 @@ def complementary(shoot: Shoot, reference: Reference, budget: Budget) -> Capture
     steps = reference.patterns.steps
     each = len(reference.times_ms) * steps
     if budget == "equal-frames" and each % (2 * steps):
-        steps = max(3, each // 2)  # two sets of more steps use up the frames that whole repeats cannot
+        steps = max(
+            3, each // 2
+        )  # two sets of more steps use up the frames that whole repeats cannot
     patterns = _two_sets(reference.patterns, steps, np.pi / steps)
     return _take(shoot, reference, _filled(reference, budget, patterns, reference.middle_ms))
 
