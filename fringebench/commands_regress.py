@@ -86,6 +86,47 @@ def export(
     Console(highlight=False).print(str(run(scenes.Stack.read(stack), output, projector)))
 
 
+def budget(
+    scene: Annotated[str, typer.Argument(help="A shipped scene's name, or a TOML file.")],
+    settings: Annotated[
+        list[str],
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="Override a key of the scene; may be repeated."
+        ),
+    ] = [],  # noqa: B006
+    seed: Annotated[int, typer.Option(help="Seed of light paths and noise.", min=0)] = 0,
+    repeats: Annotated[int, typer.Option(help="Decodes of each noisy variant.", min=1)] = 4,
+    fusion: Annotated[str, typer.Option(help="Exposure fusion rule.")] = "max-modulation",
+    saturation: Annotated[
+        str, typer.Option(help="reject, or ignore: what a decoder without a saturation mask does.")
+    ] = "reject",
+    as_json: AsJson = False,
+) -> None:
+    """Which cause owns which millimetre: causes of error switched off, and on, one at a time."""
+    import scenes
+    from fringebench.budget import budget as run
+    from fringebench.overrides import parse_overrides
+    from fringebench.progress import Steps
+
+    found = run(
+        scenes.load(scene, parse_overrides(settings)),
+        seed,
+        repeats,
+        Steps(Console(stderr=True)),
+        fusion=fusion,
+        saturation=saturation,
+    )
+    if as_json:
+        _print_json(found.to_dict())
+        return
+    from fringebench.tables import budget_table
+
+    console = Console()
+    console.print(budget_table(found))
+    if found.absent:
+        console.print(f"not in this scene: {', '.join(found.absent)}", highlight=False)
+
+
 def parse_seeds(text: str) -> tuple[int, ...]:
     """Seeds from a list such as ``0-15`` or ``3,7,20-22``; raises `FringebenchError` for another form.
 
@@ -116,3 +157,6 @@ def register(app: typer.Typer) -> None:
         epilog="Example: fringebench regress my_package.decoder:decode --baseline mine.json"
     )(regress)
     app.command(epilog="Example: fringebench export stack.exr -o frames")(export)
+    app.command(epilog="Example: fringebench budget bench --set camera.resolution=[320,240]")(
+        budget
+    )

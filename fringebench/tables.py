@@ -1,10 +1,12 @@
 """Scores and comparisons as tables for the terminal."""
 
+import math
 from typing import TYPE_CHECKING
 
 from rich.table import Table
 
 import evaluation
+from evaluation.budget import Budget
 from fringebench.doctor import Diagnosis
 
 if TYPE_CHECKING:
@@ -56,6 +58,45 @@ def feature_table(score: evaluation.Score) -> Table:
             _number(difference, 1000, 1) if both else "-",
         )
     return table
+
+
+def budget_table(found: Budget) -> Table:
+    """One row per region and cause: root of the mean square error it makes alone, and that goes when it goes."""
+    table = Table(title="error budget, RMS: squares add; minus: less error", title_justify="left")
+    table.add_column("region")
+    table.add_column("cause", no_wrap=True)
+    for name in ("alone µm", "share %", "removed µm", "bias µm", "valid %"):
+        table.add_column(name, justify="right")
+    for label, region in found.regions.items():
+        total = region.total_mm2
+        lines: list[tuple[str, float | None, float | None, float | None, float]] = [
+            (name, share.alone_mm2, share.removed_mm2, share.bias_alone_mm, share.coverage_alone)
+            for name, share in region.causes.items()
+        ]
+        lines += [
+            ("(method itself)", region.ideal_mm2, None, None, 0.0),
+            ("(interaction)", region.interaction_mm2, None, None, 0.0),
+        ]
+        for i, (name, alone, removed, bias, coverage) in enumerate(lines):
+            table.add_row(
+                label if i == 0 else "",
+                name,
+                _number(_root(alone), 1000, 2),
+                _number(alone / total if alone is not None and total else None, 100, 1),
+                _number(_root(removed), 1000, 2),
+                _number(bias, 1000, 2),
+                f"{coverage * 100:+.1f}" if coverage else "",
+            )
+        table.add_row(
+            "", "[bold]total[/]", _number(_root(total), 1000, 2), "", "", "", _number(region.coverage, 100, 1),
+            end_section=True,
+        )  # fmt: skip
+    return table
+
+
+def _root(square: float | None) -> float | None:
+    """Square root that keeps the sign."""
+    return None if square is None else math.copysign(math.sqrt(abs(square)), square)
 
 
 def chapter_table(result: "ChapterResult") -> Table:

@@ -31,21 +31,28 @@ Draw = Callable[[Any], Any]
 
 
 def trace(
-    scene: Scene, seed: int = 0, samples: int | None = None, depth: int | None = None
+    scene: Scene,
+    seed: int = 0,
+    samples: int | None = None,
+    depth: int | None = None,
+    footprint: float = 1.0,
 ) -> Transport:
     """Trace the scene's light transport once, for all its patterns.
 
     `samples` light paths per pixel (None: the scene's) of up to `depth` surface vertices (None: the scene's; 1: direct
     light only). The same seed gives the same bits on one machine. Even `samples` are best: they lie in pairs opposite
-    about the pixel's centre, which makes the phase of direct light nearly free of noise.
+    about the pixel's centre, which makes the phase of direct light nearly free of noise. `footprint` narrows the pixels
+    about their centres, 0 to points: to see what their width costs.
 
-    Raises `RenderError` for impossible `samples` or `depth`.
+    Raises `RenderError` for impossible `samples`, `depth` or `footprint`.
     """
     samples = scene.sampling.samples if samples is None else samples
     depth = scene.sampling.depth if depth is None else depth
     for name, value in (("samples", samples), ("depth", depth)):
         if value < 1:
             raise RenderError(f"{name} = {value}: needs at least 1")
+    if not 0.0 <= footprint <= 1.0:
+        raise RenderError(f"footprint = {footprint}: needs a number from 0 to 1")
     use()
     bases = tuple(basis(scene.patterns, p, p.resolution) for p in scene.projectors)
     surfaces = parts(scene)
@@ -57,6 +64,7 @@ def trace(
         [Light(p, optics(p), b.channels) for p, b in zip(scene.projectors, bases, strict=True)],
         dr.opaque(mi.Float, glow) if (glow := scene.ambient.radiance_w_m2_sr) > 0 else None,
         depth,
+        None if footprint == 1.0 else dr.opaque(mi.Float, footprint),
     )
     width, height = scene.camera.resolution
     channels = [len(b.channels) for b in bases]
@@ -106,6 +114,8 @@ class _Pass:
     ambient: Any
     """Radiance, or None."""
     depth: int
+    footprint: Any
+    """Width of a pixel, or None: all of it."""
 
     def radiance(
         self, rows: slice, width: int, samples: int, seed: int
@@ -127,7 +137,10 @@ class _Pass:
             def draw(dimension: Any) -> Any:
                 return sampling.point(key, mi.UInt32(dimension), n)
 
-            place = corner + sampling.pixel_point(key, n)
+            within = sampling.pixel_point(key, n)
+            if self.footprint is not None:
+                within = (within - 0.5) * self.footprint + 0.5
+            place = corner + within
             pupil = None if self.camera.lens is None else draw(1)
             gains, bounces, sky = self._path(mi.Ray3f(*self.camera.ray(place, pupil)), draw)
             first = [a + b for a, b in zip(first, gains, strict=True)]
