@@ -47,7 +47,8 @@ def fringebench_regress(
         found = regress(decoder, baseline, **choices)
         if not found.passed:
             pytest.fail(
-                f"{found.decoder} got worse than {found.baseline}:\n{found.describe()}", pytrace=False
+                f"{found.decoder} got worse than {found.baseline}:\n{found.describe()}",
+                pytrace=False,
             )
         return found
 
