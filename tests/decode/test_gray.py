@@ -1,0 +1,183 @@
+"""Gray code, alone and under fringes, on stacks whose projector coordinates are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import decode
+from decode import Reason
+from scenes.errors import DecodeError
+from scenes.patterns import GrayBits, GrayCode, PhaseShift
+from scenes.sensor import SimpleSensor
+from scenes.stack import Stack
+from tests.decode.synthetic import Map, coordinates, digitise, hills, rig
+
+SIZE = (64, 48)
+CALIBRATION = rig("pinhole", "pinhole", lenses=True)
+HEIGHT = hills()
+COLUMN, ROW = coordinates(CALIBRATION, HEIGHT)
+
+
+def take(
+    patterns: PhaseShift | GrayCode,
+    *,
+    gain: float | Map = 160.0,
+    dark: float = 30.0,
+    sigma_dn: float = 0.0,
+    blur_px: float = 0.0,
+    exposures: tuple[float, ...] = (1.0,),
+    calibrated: bool = True,
+    seed: int = 0,
+) -> Stack:
+    """8-bit frames of the rig under any patterns, seen through a projector that blurs."""
+    rng = np.random.default_rng(seed)
+    shown = patterns.frames()
+    taps = np.linspace(-2.0, 2.0, 41) * blur_px if blur_px else np.zeros(1)
+    weights = np.exp(-0.5 * (taps / max(blur_px, 1e-9)) ** 2)
+    light = np.stack(
+        [
+            sum(
+                w * patterns.commanded(f, (COLUMN if f.axis == "column" else ROW) + tap)
+                for w, tap in zip(weights / weights.sum(), taps, strict=True)
+            )
+            for f in shown
+        ]
+    )
+    frames = [digitise(dark + gain * t * light, sigma_dn, np.uint8, rng) for t in exposures]
+    return Stack(
+        np.stack(frames),
+        shown,
+        exposures,
+        SimpleSensor(sigma_dn=sigma_dn),
+        CALIBRATION if calibrated else None,
+    )
+
+
+@pytest.mark.parametrize("inverted", [True, False])
+@pytest.mark.parametrize("flat", [True, False])
+def test_gray_code_names_the_cell_whatever_the_reflectance(inverted: bool, flat: bool) -> None:
+    albedo = np.random.default_rng(1).uniform(0.2, 1.0, HEIGHT.shape)
+    patterns = GrayCode(
+        axes=("column", "row"), bits=(8, 8), cell_px=2.0, inverted=inverted, flat=flat
+    )
+    rec = decode.reconstruct(take(patterns, gain=160.0 * albedo), height="phase")
+    assert rec.valid.all()
+    np.testing.assert_array_equal(np.floor(rec.column_px / 2.0), np.floor(COLUMN / 2.0))
+    np.testing.assert_array_equal(np.floor(rec.row_px / 2.0), np.floor(ROW / 2.0))
+    # the middle of the cell, so never off by more than half of it
+    assert np.abs(rec.column_px - COLUMN).max() <= 1.0
+
+
+def test_fringes_give_the_threshold_where_the_code_has_none() -> None:
+    patterns = PhaseShift(
+        steps=4, periods_px=(16.0,), gray=GrayBits(bits=6, inverted=False, flat=False)
+    )
+    albedo = np.random.default_rng(1).uniform(0.2, 1.0, HEIGHT.shape)
+    rec = decode.reconstruct(take(patterns, gain=160.0 * albedo), height="phase")
+    assert rec.valid.all()
+    # a code all of whose bits are dark in a pixel has no threshold of its own: order errors would be 16 px
+    assert np.abs(rec.column_px - COLUMN).max() < 1.0
+
+
+def test_height_and_its_sigma_from_gray_code_alone_are_those_of_a_cell() -> None:
+    patterns = GrayCode(bits=(9,))
+    rec = decode.reconstruct(take(patterns, sigma_dn=2.0), height_range_mm=(-2.0, 5.0))
+    error = (rec.height_mm - HEIGHT)[rec.valid]
+    assert rec.valid.mean() > 0.99
+    # uniform in the cell: no error beyond sqrt(3) sigma, but where noise moved an edge by one cell (a pixel in 160 at
+    # this noise: sigma / slope at the edge), and the RMS is sigma within the 3072 pixels' scatter
+    ratio = error / rec.sigma_mm[rec.valid]
+    assert np.sqrt(np.mean(ratio**2)) == pytest.approx(1.0, abs=0.05)
+
+
+def test_one_clipped_exposure_of_two_does_not_disturb_the_code() -> None:
+    patterns = GrayCode(bits=(8,), cell_px=2.0)
+    stack = take(patterns, gain=200.0, sigma_dn=1.0, exposures=(1.0, 6.0))
+    assert (stack.frames[1] == 255).mean() > 0.3
+    rec = decode.reconstruct(stack, height="phase")
+    assert rec.valid.mean() > 0.99
+    np.testing.assert_array_equal(
+        np.floor(rec.column_px / 2.0)[rec.valid], np.floor(COLUMN / 2.0)[rec.valid]
+    )
+
+
+def test_bits_lost_to_blur_widen_the_cell_and_the_claimed_sigma() -> None:
+    sharp = take(GrayCode(bits=(9,)), sigma_dn=2.0)
+    blurred = take(GrayCode(bits=(9,)), sigma_dn=2.0, blur_px=2.0)
+    wide = {"height_range_mm": (-5.0, 10.0)}
+    one, two = decode.reconstruct(sharp, **wide), decode.reconstruct(blurred, **wide)
+    both = one.valid & two.valid
+    assert both.mean() > 0.5
+    assert np.median(two.sigma_mm[both]) > 1.9 * np.median(one.sigma_mm[both])
+    ratio = ((two.height_mm - HEIGHT) / two.sigma_mm)[two.valid]
+    # uniform in the wider cell; half of a cell more at edges that blur hides
+    assert np.sqrt(np.mean(ratio**2)) < 1.2
+
+
+def test_no_light_is_shadow_not_a_code() -> None:
+    lit = np.ones(HEIGHT.shape)
+    lit[:10] = 0.0
+    rec = decode.reconstruct(take(GrayCode(bits=(9,)), gain=160.0 * lit, sigma_dn=2.0))
+    assert np.isin(rec.reason[:10], (Reason.SHADOW, Reason.DARK)).all()
+
+
+def shifted_code(stack: Stack, patterns: PhaseShift, by_px: float) -> Stack:
+    """The same capture with Gray frames seen `by_px` aside, as a slanted or unevenly lit edge is."""
+    frames = stack.frames.copy()
+    for i, f in enumerate(stack.patterns):
+        if f.kind == "gray":
+            level = 30.0 + 160.0 * patterns.commanded(f, COLUMN + by_px)
+            frames[:, i] = np.round(level)
+    return replace(stack, frames=frames)
+
+
+@pytest.mark.parametrize("by_px", [-3.5, 3.5])
+def test_complementary_bit_forgives_a_code_a_fifth_of_a_period_off(by_px: float) -> None:
+    patterns = PhaseShift(steps=4, periods_px=(16.0,), gray=GrayBits(bits=6))
+    stack = shifted_code(take(patterns), patterns, by_px)
+    # 8-bit rounding: sigma 0.29 DN on 80 DN of modulation, 0.01 px; ten of them, and no period
+    rec = decode.reconstruct(stack, height="phase", max_order_residual=0.5)
+    assert np.abs(rec.column_px - COLUMN).max() < 0.1
+    # without it, as many pixels lose a whole period as lie that near a border
+    plain = PhaseShift(steps=4, periods_px=(16.0,), gray=GrayBits(bits=5, cell_px=16.0))
+    rec = decode.reconstruct(shifted_code(take(plain), plain, by_px), height="phase")
+    slipped = np.abs(rec.column_px - COLUMN) > 8.0
+    assert slipped.mean() == pytest.approx(3.5 / 16.0, abs=0.05)
+
+
+def test_gray_code_beats_the_fringes_through_to_a_fine_period() -> None:
+    """Three-step fringes of 2/3 and 1 cell and a Gray code of that cell: the beat of the fringes is two cells."""
+    patterns = PhaseShift(
+        steps=3,
+        periods_px=(16.0, 24.0),
+        axes=("column", "row"),
+        gray=GrayBits(bits=5, cell_px=24.0),
+    )
+    rec = decode.reconstruct(take(patterns, sigma_dn=2.0), height="phase")
+    assert rec.valid.mean() > 0.999
+    sigma_px = 16.0 / (2 * np.pi) * 2.0 * np.sqrt(2.0 / 3.0) / 80.0
+    for found, true in ((rec.column_px, COLUMN), (rec.row_px, ROW)):
+        error = (found - true)[rec.valid]
+        assert np.abs(error).max() < 6.0 * sigma_px
+        assert error.std() == pytest.approx(sigma_px, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda f: f if f.step != 3 else replace(f, step=2), "each bit once"),
+        (lambda f: replace(f, steps=10), "lacks bits"),
+        (lambda f: replace(f, period_px=3.0) if f.step == 1 else f, "each bit once"),
+    ],
+)
+def test_an_incomplete_code_is_refused(change: object, said: str) -> None:
+    stack = take(GrayCode(bits=(9,)))
+    patterns = tuple(change(f) if f.kind == "gray" else f for f in stack.patterns)  # type: ignore[operator]
+    with pytest.raises(DecodeError, match=said):
+        decode.reconstruct(replace(stack, patterns=patterns))
+
+
+def test_unwrapping_a_code_is_refused() -> None:
+    with pytest.raises(DecodeError, match="Gray code alone"):
+        decode.reconstruct(take(GrayCode(bits=(9,))), unwrap="row-scan")
