@@ -45,6 +45,10 @@ class ScoreError(FringebenchError):
     """A reconstruction and a truth that cannot be compared."""
 
 
+class DatasetError(FringebenchError):
+    """A data set that cannot be made, gone on with, or read."""
+
+
 def nearest(word: str, known: Iterable[str]) -> str:
     """A hint naming the nearest valid words, or all of them if none is near.
 

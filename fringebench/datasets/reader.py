@@ -1,0 +1,161 @@
+"""Read a data set: `Dataset(path)[i]` is a sample whose files are opened when they are asked for.
+
+Map-style, as PyTorch's ``DataLoader`` wants it, without torch: it has ``__len__`` and ``__getitem__`` and can be pickled.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
+
+from fringebench.datasets.contents import read_manifest, read_plan
+from fringebench.datasets.sample import Record
+from fringebench.datasets.store import Store, open_store
+from scenes.board_labels import BoardTruth
+from scenes.errors import DatasetError, nearest
+from scenes.load import parse
+from scenes.stack import Stack
+from scenes.truth import Truth
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from scenes.scene import Scene
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One sample of a data set; each file is read once, when first asked for. `FileError` if it is damaged."""
+
+    record: Record
+    store: Store
+
+    @property
+    def index(self) -> int:
+        """Its number in the data set."""
+        return self.record.index
+
+    @property
+    def split(self) -> str:
+        """The split it belongs to."""
+        return self.record.split
+
+    @property
+    def drawn(self) -> dict[str, Any]:
+        """Dotted key -> value of what `randomise` drew for it."""
+        drawn: dict[str, Any] = json.loads(self.record.drawn)
+        return drawn
+
+    @cached_property
+    def stack(self) -> Stack:
+        """The raw frames with patterns, exposures, sensor and calibration."""
+        with self.store.local(self._name("stack.exr")) as path:
+            return Stack.read(path or self._missing("stack.exr"))
+
+    @property
+    def frames(self) -> NDArray[np.generic]:
+        """Digital numbers, (exposure, frame, row, col)."""
+        return self.stack.frames
+
+    @cached_property
+    def truth(self) -> Truth:
+        """Truth maps, (row, col): height, points, normals, labels, light."""
+        with self.store.local(self._name("truth.exr")) as path:
+            return Truth.read(path or self._missing("truth.exr"))
+
+    @cached_property
+    def labels(self) -> dict[str, Any]:
+        """The whole of ``labels.json``: COCO's keys, and `board`."""
+        labels: dict[str, Any] = json.loads(self._text("labels.json"))
+        return labels
+
+    @cached_property
+    def board(self) -> BoardTruth | None:
+        """Truth of every pad; None for a scene without a board."""
+        board = self.labels["board"]
+        return None if board is None else BoardTruth.model_validate(board)
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The scene as drawn: `render.trace` of it with the `light_seed` of `labels` gives this sample's light."""
+        return parse(self._text("scene.toml"), where=self._name("scene.toml"))
+
+    def _name(self, file: str) -> str:
+        return f"{self.record.folder}/{file}"
+
+    def _text(self, file: str) -> str:
+        content = self.store.read(self._name(file))
+        return self._missing(file) if content is None else content.decode()
+
+    def _missing(self, file: str) -> Any:
+        raise DatasetError(
+            f"'{self.store.where}/{self._name(file)}' is missing: fringebench dataset --repair makes it again"
+        )
+
+
+class Dataset(Generic[T]):
+    """The samples of a data set, or of one split of it, in order; those that failed are left out.
+
+    `where` is a folder or any fsspec URL. `transform` is applied to each sample as it is taken. Raises `DatasetError`
+    where there is no whole data set, or no such split.
+
+    >>> from fringebench import Dataset
+    >>> for sample in Dataset("boards", split="train"):  # doctest: +SKIP
+    ...     print(sample.index, sample.frames.shape, sample.truth.height_mm.max())
+    """
+
+    @overload
+    def __init__(
+        self: Dataset[Sample], where: str | Path, split: str | None = None, transform: None = None
+    ) -> None: ...
+    @overload
+    def __init__(
+        self: Dataset[T],
+        where: str | Path,
+        split: str | None = None,
+        *,
+        transform: Callable[[Sample], T],
+    ) -> None: ...
+    def __init__(
+        self,
+        where: str | Path,
+        split: str | None = None,
+        transform: Callable[[Sample], T] | None = None,
+    ) -> None:
+        self._store = open_store(where)
+        self.plan = read_plan(self._store)
+        """What it was made from."""
+        listed = read_manifest(self._store)
+        if listed is None:
+            raise DatasetError(
+                f"the data set at '{where}' is not finished: run fringebench dataset again to go on with it"
+            )
+        if split is not None and split not in self.plan.splits:
+            raise DatasetError(
+                f"no split '{split}' in '{where}': {nearest(split, self.plan.splits)}"
+            )
+        self.records = tuple(
+            record
+            for record in listed.records
+            if record.status == "made" and split in (None, record.split)
+        )
+        """Of each sample, in order."""
+        self._transform = transform
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    def __getitem__(self, i: int) -> T:
+        """Sample `i`, counted among these; `IndexError` beyond the last, as iteration wants it."""
+        sample = Sample(self.records[i], self._store)
+        return self._transform(sample) if self._transform else sample  # type: ignore[return-value]
+
+    def __iter__(self) -> Iterator[T]:
+        return (self[i] for i in range(len(self)))
