@@ -10,7 +10,7 @@ from scipy import stats
 
 from decode import Reconstruction
 from evaluation.bound import CONFIDENCE, FringeLight, efficiency
-from evaluation.score import RegionScore, score, scored
+from evaluation.score import RegionScore, region_scores, scored
 from scenes.truth import Truth
 
 FIGURES = ("coverage", "bias_mm", "rms_mm", "sd_mm", "outlier_fraction", "flagged_fraction")
@@ -96,7 +96,7 @@ class Repeat:
         true_rad = np.nan if light is None else light.phase_rad
         off = np.where(rec.valid, rec.wrapped_rad - true_rad, np.nan)
         return cls(
-            score(rec, truth, margin_px=margin_px, outlier_mm=outlier_mm).regions,
+            region_scores(rec, truth, margin_px=margin_px, outlier_mm=outlier_mm),
             np.angle(np.exp(1j * off)).astype(np.float32),
             np.where(rec.valid, rec.height_mm, np.nan).astype(np.float32),
             rec.sigma_mm,
