@@ -24,6 +24,7 @@ _VERBS = {
     "Reconstruction": "decode",
     "score": "evaluation",
     "Score": "evaluation",
+    "Dataset": "fringebench.datasets.reader",
 }
 
 __all__ = [*_ROOMS, *_VERBS]  # noqa: PLE0604  names resolved by __getattr__

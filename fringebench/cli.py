@@ -11,6 +11,7 @@ from rich.console import Console
 
 import scenes
 from fringebench.commands_compare import register as register_compare
+from fringebench.commands_dataset import register as register_dataset
 from fringebench.commands_import import register as register_import
 from fringebench.commands_regress import register as register_regress
 from fringebench.overrides import parse_overrides
@@ -240,6 +241,7 @@ def doctor(as_json: AsJson = False) -> None:
 
 register_compare(app)
 register_regress(app)
+register_dataset(app)
 register_import(app)
 
 
