@@ -32,6 +32,8 @@ GAMMA = 0.1
 SATURATED = 0.01
 # Points of a good calibration meet the other axis to a pixel; a wrong one misses by tens.
 EPIPOLAR_PX = (2.0, 8.0)
+# Share of points outside the working volume that no stray light makes.
+AWAY = 0.5
 LINEARITY = (0.03, 0.3)
 
 
@@ -148,15 +150,16 @@ def _order(stack: Stack, fringes: FringeSet, exposure: int, seen: Harmonics, nam
     if misfit <= MISFIT:
         said = f"samples lie {misfit:.3f} of the modulation off a sinusoid beyond noise and gamma"
         return Finding(name, "ok", said, misfit)
-    mended: list[tuple[float, str]] = []
+    mended: list[str] = []
     for i, j in combinations(range(len(fringes.frames)), 2):
         frames = list(fringes.frames)
         frames[i], frames[j] = frames[j], frames[i]
         other = FringeSet(fringes.axis, fringes.period_px, tuple(frames), fringes.shifts_rad)
-        left = _misfit(harmonics(stack, other, exposure))
-        mended.append((left, f"with steps {i} and {j} exchanged only {left:.3f}"))
-    best = min(mended)
-    hint = best[1] if best[0] < 0.5 * misfit else "no exchange of two frames mends it"
+        if _misfit(harmonics(stack, other, exposure)) < MISFIT:
+            mended.append(f"{i} and {j}")
+    hint = "no exchange of two frames mends it"
+    if mended:
+        hint = f"exchanging steps {' or '.join(mended)} mends it"
     said = f"samples lie {misfit:.2f} of the modulation off a sinusoid; {hint}: correct the frames' order or steps"
     return Finding(name, "wrong", said, misfit)
 
@@ -218,6 +221,14 @@ def _epipolar(stack: Stack, projector: int) -> Finding:
     other: Axis = "row" if rec.axis == "column" else "column"
     every = max(1, int(np.sqrt(rec.valid.size / 100_000)))
     at = (slice(None, None, every), slice(None, None, every))
+    away = float((rec.reason == Reason.OUT_OF_VOLUME).sum())
+    away /= max(float(rec.valid.sum()) + away, 1.0)
+    if away > AWAY:
+        said = (
+            f"{away:.0%} of the points lie outside the working volume: the calibration is not this rig's, an axis is "
+            "mirrored, or the volume is wrong"
+        )
+        return Finding(name, "wrong", said, away)
     valid = rec.valid[at]
     if valid.sum() < 100:
         return Finding(name, "unknown", "too few points to compare rows and columns")
