@@ -1,4 +1,4 @@
-"""The measured surface as a coloured point cloud, for CloudCompare, MeshLab and the like."""
+"""The measured surface as a coloured point cloud or mesh, for CloudCompare, MeshLab and the like."""
 
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from scenes.truth import Truth
 
 # Half width of the window a normal is fitted in: its noise falls with the square of the width, its detail with the width.
 NORMAL_PX = 2
+GRAZING_DEG = 85.0
 
 
 def write_cloud(
@@ -21,8 +22,9 @@ def write_cloud(
     rec: Reconstruction,
     truth: Truth | None = None,
     gray: NDArray[np.floating] | None = None,
+    faces: bool = False,
 ) -> None:
-    """Write the valid points as binary little-endian PLY.
+    """Write the valid points as binary little-endian PLY, with `faces` also the triangles between them (`triangles`).
 
     Each vertex has x y z (float, mm) and its normal (`normals`); where they are known, a gray colour, ``scalar_sigma_mm``
     and, with `truth`, ``scalar_error_mm``: measured minus true height, NaN where there is no truth. "scal" in a name is
@@ -57,6 +59,7 @@ def write_cloud(
     vertices = np.empty(int(valid.sum()), dtype=[(name, c.dtype) for name, c in columns.items()])
     for name, column in columns.items():
         vertices[name] = column
+    corners = triangles(rec) if faces else np.empty((0, 3), np.int32)
     kinds = {"f": "float", "u": "uchar"}
     header = [
         "ply",
@@ -64,10 +67,44 @@ def write_cloud(
         "comment fringebench; lengths in mm",
         f"element vertex {len(vertices)}",
         *(f"property {kinds[c.dtype.kind]} {name}" for name, c in columns.items()),
-        "end_header",
     ]
+    body = [vertices.tobytes()]
+    if faces:
+        header += [f"element face {len(corners)}", "property list uchar int vertex_indices"]
+        listed = np.empty(len(corners), dtype=[("count", "u1"), ("corners", "<i4", 3)])
+        listed["count"], listed["corners"] = 3, corners
+        body.append(listed.tobytes())
     with replacing(path) as beside:
-        beside.write_bytes(("\n".join(header) + "\n").encode("ascii") + vertices.tobytes())
+        beside.write_bytes(
+            ("\n".join([*header, "end_header", ""])).encode("ascii") + b"".join(body)
+        )
+
+
+def triangles(rec: Reconstruction) -> NDArray[np.int32]:
+    """Triangles (n, 3) between neighbouring valid pixels, as indices into the valid points in row order.
+
+    They face the camera. One seen at more than 85 degrees from its normal is left out: it would span a step's edge,
+    where the camera saw nothing. Raises `DecodeError` without a calibration.
+    """
+    xyz = rec.xyz_mm
+    valid = rec.valid & np.isfinite(xyz).all(axis=-1)
+    index = np.where(valid, np.cumsum(valid).reshape(valid.shape) - 1, -1).astype(np.int32)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    corners = np.concatenate(
+        [np.stack(three, axis=-1).reshape(-1, 3) for three in ((a, c, b), (b, c, d))]
+    )
+    corners = corners[(corners >= 0).all(axis=1)]
+    points = xyz[valid].astype(np.float64)
+    assert rec.calibration is not None  # else xyz_mm has raised
+    camera = rec.calibration.camera.projection()
+    towards = -camera.rays(camera.pixel_centres())[1][valid]
+    first, second, third = (points[corners[:, i]] for i in range(3))
+    normal = np.cross(second - first, third - first)
+    towards = towards[corners[:, 0]]
+    length = np.linalg.norm(normal, axis=1) * np.linalg.norm(towards, axis=1)
+    seen = (normal * towards).sum(axis=1) > np.cos(np.deg2rad(GRAZING_DEG)) * length
+    kept: NDArray[np.int32] = corners[seen]
+    return kept
 
 
 def normals(xyz_mm: NDArray[np.floating], valid: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -12,6 +12,7 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import Colormap
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -59,7 +60,7 @@ def draw_map(
     unit: str,
     *,
     limits: tuple[float, float] | None = None,
-    cmap: str = "viridis",
+    cmap: str | Colormap = "viridis",
     bar: Any = None,
 ) -> None:
     """Draw an image (row, col) with a colour bar labelled `unit`; NaN is plain gray (blue in a gray map).
@@ -68,7 +69,7 @@ def draw_map(
     `bar`, or takes room from `axes`.
     """
     shown = np.asarray(values, dtype=np.float64)
-    low, high = limits or _spread(shown)
+    low, high = limits or spread(shown)
     large = shown.shape[1] > IMAGE_PX
     image = axes.imshow(
         shown,
@@ -82,7 +83,7 @@ def draw_map(
     axes.set_facecolor(MISSING_ON_GRAY if cmap == "gray" else MISSING)
     axes.set(title=title, xlabel="column (px)", ylabel="row (px)")
     place = {"ax": axes, "shrink": 0.9} if bar is None else {"cax": bar}
-    axes.figure.colorbar(image, label=unit, extend=_beyond(shown, low, high), **place)
+    axes.figure.colorbar(image, label=unit, extend=beyond(shown, low, high), **place)
 
 
 def map_axes(shape: tuple[int, int], right: float = RIGHT) -> tuple[Figure, Any]:
@@ -111,7 +112,7 @@ def map_figure(
     unit: str,
     *,
     limits: tuple[float, float] | None = None,
-    cmap: str = "viridis",
+    cmap: str | Colormap = "viridis",
 ) -> Figure:
     """One map, see `draw_map`."""
     figure, axes = map_axes((values.shape[0], values.shape[1]))
@@ -264,7 +265,8 @@ def _histogram(
     axes.set_title(f"{label}: {errors.size} px{rest}", fontsize="medium")
 
 
-def _spread(values: NDArray[np.float64]) -> tuple[float, float]:
+def spread(values: NDArray[np.float64]) -> tuple[float, float]:
+    """Ends of a colour scale for data: its 0.5 and 99.5 percentiles, apart even where it is constant."""
     known = values[np.isfinite(values)]
     if not known.size:
         return 0.0, 1.0
@@ -272,7 +274,7 @@ def _spread(values: NDArray[np.float64]) -> tuple[float, float]:
     return (low, high) if high > low else (low - 0.5, high + 0.5)
 
 
-def _beyond(values: NDArray[np.float64], low: float, high: float) -> str:
+def beyond(values: NDArray[np.float64], low: float, high: float) -> str:
     """Which ends of a colour scale the data exceeds, as matplotlib says it; rounding is no excess."""
     slack = 1e-6 * (high - low)
     under, over = bool(np.any(values < low - slack)), bool(np.any(values > high + slack))

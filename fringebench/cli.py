@@ -14,6 +14,7 @@ from fringebench.commands_compare import register as register_compare
 from fringebench.commands_dataset import register as register_dataset
 from fringebench.commands_import import register as register_import
 from fringebench.commands_regress import register as register_regress
+from fringebench.commands_view import register as register_view
 from fringebench.overrides import parse_overrides
 from scenes.errors import FringebenchError
 
@@ -243,6 +244,7 @@ register_compare(app)
 register_regress(app)
 register_dataset(app)
 register_import(app)
+register_view(app)
 
 
 def main() -> None:
