@@ -1,0 +1,144 @@
+"""OpenCV calibrations: names, formats, conventions, and what is refused."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from scenes.errors import FileError
+from scenes.opencv_calibration import Source
+
+K1 = np.array([[2800.0, 0, 1500.0], [0, 2810.0, 1090.0], [0, 0, 1]])
+K2 = np.array([[1650.0, 0, 620.0], [0, 1720.0, 360.0], [0, 0, 1]])
+D1 = np.array([-0.23, 0.14, -9e-4, 1.3e-3, -0.03])
+D2 = np.array([-0.05, 0.2, -7e-3, -2e-3, -0.1])
+R = cv2.Rodrigues(np.array([0.05, 0.4, -0.1]))[0]
+T = np.array([-183.0, -23.7, 60.7])
+SIZES = {"cam_size": [2592, 1944], "pro_size": [1280, 800]}
+PARTS: dict[str, Any] = {"cam_K": K1, "cam_kc": D1, "pro_K": K2, "pro_kc": D2, "R": R, "T": T}
+
+
+def write(path: Path, parts: dict[str, Any]) -> Path:
+    """A file as OpenCV writes it."""
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for name, value in parts.items():
+        storage.write(name, value if np.isscalar(value) else np.asarray(value, dtype=np.float64))
+    storage.release()
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".yml", ".xml", ".json"])
+def test_a_point_lands_where_opencv_projects_it_and_half_a_pixel(
+    tmp_path: Path, suffix: str
+) -> None:
+    path = write(tmp_path / f"rig{suffix}", PARTS | SIZES)
+    rig = Source(files=(path,), distance_mm=600.0).calibration()
+    points = np.random.default_rng(0).uniform((-80, -80, 500), (80, 80, 700), (50, 3))
+    world = points * (1, -1, -1) + (0, 0, 600.0)
+    for device, K, D, rvec, t in (
+        (rig.camera, K1, D1, np.zeros(3), np.zeros(3)),
+        (rig.projectors[0], K2, D2, cv2.Rodrigues(R)[0], T),
+    ):
+        theirs = cv2.projectPoints(points, rvec, t, K, D)[0][:, 0]
+        # both are float64: rounding of some thousand px
+        np.testing.assert_allclose(device.projection().project(world)[0], theirs + 0.5, atol=1e-9)
+    assert rig.camera.resolution == (2592, 1944)
+    assert rig.projectors[0].resolution == (1280, 800)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("camera_matrix", "dist_coeffs", "projector_matrix", "projector_distortion", "R", "T"),
+        ("M1", "D1", "M2", "D2", "R", "T"),
+        ("cameraMatrix1", "distCoeffs1", "cameraMatrix2", "distCoeffs2", "R", "T"),
+        ("cam_int", "cam_dist", "proj_int", "proj_dist", "rotation", "translation"),
+        ("Camera Matrix 1", "Dist.Coeffs.1", "K2", "D2", "r", "t"),
+    ],
+)
+def test_usual_names_are_known(tmp_path: Path, names: tuple[str, ...]) -> None:
+    tree = {name: np.asarray(v).tolist() for name, v in zip(names, PARTS.values(), strict=True)}
+    path = tmp_path / "rig.json"
+    path.write_text(json.dumps(tree))
+    pair = Source(files=(path,)).pair()
+    np.testing.assert_array_equal(pair.first.matrix, K1)
+    np.testing.assert_array_equal(pair.second.matrix, K2)
+    np.testing.assert_allclose(pair.second.distortion, D2)
+    np.testing.assert_array_equal(pair.t_mm, T)
+
+
+def test_own_names_units_and_direction(tmp_path: Path) -> None:
+    inverse, back = R.T, -R.T @ T / 1000.0
+    odd = {"A": K1, "B": K2, "turn": cv2.Rodrigues(inverse)[0], "move": back}
+    names = {"first_matrix": "A", "second_matrix": "B", "rotation": "turn", "translation": "move"}
+    path = write(tmp_path / "rig.yml", odd)
+    pair = Source(files=(path,), names=names, mm_per_unit=1000.0, second_to_first=True).pair()
+    np.testing.assert_allclose(pair.R, R, atol=1e-12)
+    np.testing.assert_allclose(pair.t_mm, T, atol=1e-9)
+    with pytest.raises(FileError, match="none is known as first_matrix"):
+        Source(files=(path,)).pair()
+    with pytest.raises(FileError, match="no 'a' for first_matrix"):
+        Source(files=(path,), names={"first_matrix": "a"}).pair()
+    with pytest.raises(FileError, match="did you mean 'rotation'"):
+        Source(files=(path,), names={"rotatoin": "turn"}).pair()
+
+
+def test_intrinsics_and_extrinsics_may_come_in_two_files(tmp_path: Path) -> None:
+    inner = {k: v for k, v in PARTS.items() if k not in ("R", "T")}
+    files = (
+        write(tmp_path / "intrinsics.yml", inner | SIZES),
+        write(tmp_path / "extrinsics.yml", {"R": R, "T": T}),
+    )
+    np.testing.assert_allclose(Source(files=files).pair().R, R)
+
+
+def test_a_pair_of_cameras_shares_the_first_ones_world(tmp_path: Path) -> None:
+    pair = Source(files=(write(tmp_path / "rig.yml", PARTS | SIZES),)).pair()
+    left, right = (camera.projection() for camera in pair.cameras())
+    np.testing.assert_allclose(left.origin_mm, 0.0, atol=1e-12)
+    assert np.linalg.norm(right.origin_mm) == pytest.approx(np.linalg.norm(T), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"R": np.diag([1.0, 1.0, -1.0])}, "is no rotation"),
+        ({"R": 2 * R}, "is no rotation"),
+        ({"T": np.zeros(3)}, "translation is zero"),
+        ({"cam_K": np.eye(2)}, "first_matrix has not the shape"),
+        ({"cam_kc": np.arange(1.0, 9.0)}, "rational"),
+        ({"cam_K": np.where(K1 == 1500.0, 9000.0, K1)}, "another size"),
+        ({"pro_K": np.where(K2 == 1650.0, 100.0, K2)}, "factor of two"),
+        ({"pro_K": np.where(K2 == 620.0, 620.0, K2) + 5.0 * np.eye(3, k=1) * (K2 == 0)}, "skew"),
+        ({"T": np.array([np.nan, 0, 1])}, "NaN or infinite"),
+    ],
+)
+def test_an_impossible_calibration_is_refused(
+    tmp_path: Path, changes: dict[str, Any], said: str
+) -> None:
+    path = write(tmp_path / "rig.yml", PARTS | SIZES | changes)
+    with pytest.raises(FileError, match=said):
+        Source(files=(path,)).calibration()
+
+
+def test_a_camera_of_another_size_is_refused(tmp_path: Path) -> None:
+    source = Source(files=(write(tmp_path / "rig.yml", PARTS | SIZES),))
+    with pytest.raises(FileError, match="2592 x 1944 pixels, but here it has 1296 x 972"):
+        source.calibration((1296, 972))
+    unsized = Source(files=(write(tmp_path / "unsized.yml", PARTS),))
+    with pytest.raises(FileError, match="does not say the second device's size"):
+        unsized.calibration((2592, 1944))
+
+
+@pytest.mark.parametrize("name", ["rig.yml", "rig.xml", "rig.json"])
+@pytest.mark.parametrize(
+    "text", ["", "nonsense {", "%YAML:1.0\n---\nR: !!opencv-matrix\n   rows: 3"]
+)
+def test_a_broken_file_is_refused(tmp_path: Path, name: str, text: str) -> None:
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(FileError, match=r"rig"):
+        Source(files=(path,)).pair()
