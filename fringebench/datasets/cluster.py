@@ -36,7 +36,7 @@ def on_cluster(
     waiting = iter(indices)
     with client:
         ours: dict[Any, int] = {}
-        finished = distributed.as_completed()
+        finished = distributed.as_completed(loop=client.loop)
 
         def submit() -> None:
             room = max(AHEAD * sum(client.nthreads().values()), 1) - len(ours)

@@ -95,13 +95,11 @@ class Folder(Store):
         target = self.root / name
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
-            if target.is_dir():
+            if staged.is_dir():
                 # A folder cannot be renamed over one with files: the old one steps aside first.
-                with self.staging() as aside:
+                with self.staging() as aside, suppress(FileNotFoundError):
                     target.rename(aside / "old")
-                    staged.rename(target)
-            else:
-                staged.replace(target)
+            staged.replace(target)
         except OSError as error:
             raise self._refused(name, error) from error
 

@@ -1,0 +1,156 @@
+"""What lies in a data set, and how it is read."""
+
+import json
+import pickle
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pyarrow.parquet as pq
+import pytest
+from pycocotools.coco import COCO
+
+import fringebench
+import render
+import scenes
+from fringebench.datasets.plan import Plan
+from fringebench.datasets.sample import FILES, Record
+from scenes.errors import DatasetError
+
+
+def test_every_sample_has_its_four_files_and_its_row(undisturbed: Path) -> None:
+    rows = pq.read_table(undisturbed / "manifest.parquet").to_pylist()
+    assert [row["index"] for row in rows] == list(range(6))
+    for row in rows:
+        assert row["status"] == "made"
+        assert sorted(p.name for p in (undisturbed / row["folder"]).iterdir()) == sorted(FILES)
+    assert not (undisturbed / "records").exists()
+    assert not (undisturbed / ".staging").exists()
+
+
+def test_a_sample_is_what_its_scene_and_seeds_render(undisturbed: Path) -> None:
+    sample = fringebench.Dataset(undisturbed)[3]
+    transport = render.trace(sample.scene, seed=sample.labels["light_seed"])
+    again = render.expose(transport, seed=sample.labels["noise_seed"])
+    np.testing.assert_array_equal(again.frames, sample.frames)
+    assert sample.scene.projectors[0].irradiance_w_m2 == pytest.approx(
+        sample.drawn["projectors.0.irradiance_w_m2"]
+    )
+    assert sample.board == scenes.board_truth(sample.scene)
+
+
+def test_samples_differ_from_each_other(undisturbed: Path) -> None:
+    samples = list(fringebench.Dataset(undisturbed))
+    drawn = {sample.drawn["projectors.0.irradiance_w_m2"] for sample in samples}
+    volumes = {sample.board.pads[0].volume_mm3 for sample in samples}
+    assert len(drawn) == len(samples)
+    # A missing deposit has volume 0 wherever it occurs; the others all differ.
+    assert len(volumes) >= len(samples) - sum("missing" in s.board.pads[0].defects for s in samples)
+
+
+def test_truth_and_frames_share_one_camera(undisturbed: Path) -> None:
+    for sample in fringebench.Dataset(undisturbed):
+        assert sample.frames.shape == (1, 6, 48, 64)
+        assert sample.truth.height_mm.shape == (48, 64)
+        assert sample.truth.labels == sample.scene.labels
+
+
+def test_the_splits_are_disjoint_whole_and_in_order(undisturbed: Path) -> None:
+    whole = [sample.index for sample in fringebench.Dataset(undisturbed)]
+    parts = [
+        [sample.index for sample in fringebench.Dataset(undisturbed, split=name)]
+        for name in ("train", "val", "test")
+    ]
+    assert sorted(index for part in parts for index in part) == whole == list(range(6))
+    assert all(part == sorted(part) for part in parts)
+
+
+def test_splits_take_their_stated_shares(plan: Plan) -> None:
+    count = 20_000
+    seen = Counter(plan.split_of(index) for index in range(count))
+    for name, share in plan.splits.items():
+        # A binomial count; 5 sd is passed by chance once in two million.
+        assert abs(seen[name] - count * share) < 5 * np.sqrt(count * share * (1 - share))
+
+
+def test_a_sample_keeps_its_split_when_seed_or_count_change(plan: Plan) -> None:
+    other = plan.model_copy(update={"seed": 99, "count": 1000})
+    assert all(plan.split_of(i) == other.split_of(i) for i in range(200))
+
+
+# pycocotools 2.0.11's masks do not know NumPy 2's copy keyword.
+@pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
+def test_a_stock_coco_reader_takes_the_labels(undisturbed: Path) -> None:
+    pads = 0
+    for split in ("train", "val", "test"):
+        coco = COCO(str(undisturbed / "coco" / f"{split}.json"))
+        expected = list(fringebench.Dataset(undisturbed, split=split))
+        assert sorted(coco.getImgIds()) == [sample.index + 1 for sample in expected]
+        for sample in expected:
+            (image,) = coco.loadImgs([sample.index + 1])
+            assert (undisturbed / image["file_name"]).is_file()
+            notes = coco.loadAnns(coco.getAnnIds(imgIds=[image["id"]]))
+            assert {note["pad"] for note in notes} == {pad.pad for pad in sample.board.pads}
+            for note in notes:
+                # Polygons become masks of about their area: a rasterised outline errs by half a pixel along it.
+                mask = coco.annToMask(note)
+                assert mask.shape == (48, 64)
+                reach = note["bbox"][2] + note["bbox"][3]
+                assert abs(int(mask.sum()) - note["area"]) <= reach + 1
+            pads += len(notes)
+    assert pads == 6 * 4
+    one = COCO(str(undisturbed / "samples" / "000002" / "labels.json"))
+    assert one.getImgIds() == [3]
+
+
+def test_any_exr_reader_takes_the_files(undisturbed: Path) -> None:
+    sample = fringebench.Dataset(undisturbed)[0]
+    with OpenEXR.File(str(undisturbed / "samples/000000/stack.exr"), separate_channels=True) as f:
+        plane = f.channels()["E00.F000"].pixels
+    np.testing.assert_array_equal(plane.astype(np.uint16), sample.frames[0, 0])
+
+
+def test_the_reader_survives_the_trip_to_a_loader_process(undisturbed: Path) -> None:
+    dataset = fringebench.Dataset(undisturbed, split="train", transform=_as_arrays)
+    there = pickle.loads(pickle.dumps(dataset))
+    assert len(there) == len(dataset) > 0
+    np.testing.assert_array_equal(there[0]["frames"], dataset[0]["frames"])
+    with pytest.raises(IndexError):
+        dataset[len(dataset)]
+
+
+def _as_arrays(sample: "fringebench.datasets.reader.Sample") -> dict[str, np.ndarray]:
+    return {"frames": sample.frames.astype(np.float32), "height_mm": sample.truth.height_mm}
+
+
+def test_failed_samples_are_no_samples(copy: Path) -> None:
+    from fringebench.datasets.manifest import Manifest
+
+    path = copy / "manifest.parquet"
+    manifest = Manifest.of_bytes(path.read_bytes(), "")
+    lost = Record(index=2, split=manifest.records[2].split, status="failed", reason="no light")
+    records = (*manifest.records[:2], lost, *manifest.records[3:])
+    path.write_bytes(Manifest(records, manifest.files).to_bytes())
+    assert [sample.index for sample in fringebench.Dataset(copy)] == [0, 1, 3, 4, 5]
+
+
+def test_reading_what_is_no_data_set_says_so(tmp_path: Path, copy: Path) -> None:
+    with pytest.raises(DatasetError, match="holds no data set"):
+        fringebench.Dataset(tmp_path / "nowhere")
+    with pytest.raises(DatasetError, match=r"no split 'tarin'.*did you mean 'train'"):
+        fringebench.Dataset(copy, split="tarin")
+    (copy / "samples/000001/truth.exr").unlink()
+    with pytest.raises(DatasetError, match=r"000001/truth\.exr' is missing.*--repair"):
+        _ = fringebench.Dataset(copy)[1].truth
+    (copy / "manifest.parquet").write_bytes(b"PAR1 and no more")
+    with pytest.raises(DatasetError, match="damaged"):
+        fringebench.Dataset(copy)
+    (copy / "manifest.parquet").unlink()
+    with pytest.raises(DatasetError, match="not finished"):
+        fringebench.Dataset(copy)
+
+
+def test_labels_carry_no_nan(undisturbed: Path) -> None:
+    for path in undisturbed.rglob("*.json"):
+        json.loads(path.read_text(), parse_constant=pytest.fail)
