@@ -1,4 +1,4 @@
-"""The command that lets real captures in: import."""
+"""The commands that let real captures in: import, stereo."""
 
 import json
 import sys
@@ -8,6 +8,9 @@ from typing import Annotated
 import typer
 from rich.console import Console
 from rich.table import Table
+
+from fringebench.options import ShowProgress
+from fringebench.progress import Mode, Steps
 
 STYLES = {"ok": "green", "warning": "yellow", "wrong": "bold red", "unknown": "dim"}
 
@@ -24,6 +27,7 @@ def import_capture(
     force: Annotated[
         bool, typer.Option("--force", help="Write the stack although checks say it is wrong.")
     ] = False,
+    progress: ShowProgress = Mode.AUTO,
     as_json: Annotated[bool, typer.Option("--json", help="Print the checks as JSON.")] = False,
 ) -> None:
     """Turn image files and a calibration into a stack, after checking that they are what the manifest says.
@@ -32,10 +36,9 @@ def import_capture(
     With --check the exit status is 1 if a check says wrong.
     """
     import decode.check
-    from fringebench.progress import Steps
     from scenes.capture import Capture
 
-    steps = Steps(Console(stderr=True))
+    steps = Steps(Console(stderr=True), progress)
     capture = Capture.load(manifest)
     with steps.step("read images"):
         stack = capture.stack()
@@ -63,8 +66,44 @@ def import_capture(
         )
 
 
+def stereo(
+    left: Annotated[Path, typer.Argument(help="Stack EXR of the first camera.")],
+    right: Annotated[Path, typer.Argument(help="Stack EXR of the second camera.")],
+    calibration: Annotated[
+        list[Path], typer.Argument(help="OpenCV calibration of the pair: one file or several.")
+    ],
+    depth_mm: Annotated[
+        tuple[float, float],
+        typer.Option(metavar="NEAR FAR", help="Depths to search in front of the first camera."),
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Reconstruction file.")] = Path(
+        "reconstruction.exr"
+    ),
+    mm_per_unit: Annotated[
+        float, typer.Option(help="Millimetres per unit of the calibration: 1000 for metres.")
+    ] = 1.0,
+    fusion: Annotated[str, typer.Option(help="Exposure fusion rule.")] = "max-modulation",
+) -> None:
+    """Heights from two cameras that saw the same patterns; the projector needs no calibration."""
+    import scenes
+    from decode.stereo import stereo as match
+    from fringebench.progress import Steps
+    from scenes.opencv_calibration import Source
+
+    stacks = [scenes.Stack.read(path) for path in (left, right)]
+    pair = Source(files=tuple(calibration), mm_per_unit=mm_per_unit).pair()
+    cameras = pair.cameras(stacks[0].resolution, stacks[1].resolution)
+    with Steps(Console(stderr=True)).step("match"):
+        rec = match(stacks[0], stacks[1], cameras, (-depth_mm[1], -depth_mm[0]), fusion=fusion)
+    rec.write(output)
+    Console(highlight=False).print(f"{output}: {rec.valid.mean():.1%} of the pixels measured")
+
+
 def register(app: typer.Typer) -> None:
-    """Add the command to the command line."""
+    """Add the commands to the command line."""
     app.command("import", epilog="Example: fringebench import capture.toml -o stack.exr")(
         import_capture
     )
+    app.command(
+        epilog="Example: fringebench stereo left.exr right.exr stereo.yml --depth-mm 400 900"
+    )(stereo)
