@@ -61,7 +61,7 @@ def features(measured_mm: NDArray[np.floating[Any]], truth: Truth) -> dict[str, 
     pixels take no part.
     """
     found = {}
-    lit = truth.lit.any(axis=0) & np.isfinite(truth.height_mm)
+    lit = truth.lit & np.isfinite(truth.height_mm)
     x, y = truth.xyz_mm[..., 0].astype(np.float64), truth.xyz_mm[..., 1].astype(np.float64)
     maps = measured_mm.astype(np.float64), truth.height_mm.astype(np.float64)
     if "cap" in truth.labels:

@@ -4,7 +4,6 @@ Heights are compared pixel by pixel, ``error = measured - true``, along the came
 """
 
 import json
-import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -17,6 +16,7 @@ from scipy import ndimage
 from decode import Reconstruction
 from evaluation.features import Feature, features
 from scenes.errors import ScoreError
+from scenes.foreign_text import parse_toml
 from scenes.replace_file import replacing
 from scenes.truth import Truth
 
@@ -138,7 +138,7 @@ def scored(truth: Truth, label: str, margin_px: int = 0) -> NDArray[np.bool_]:
     """
     if margin_px < 0:
         raise ScoreError(f"margin_px = {margin_px}: needs 0 or more")
-    mask = truth.region(label) & truth.lit.any(axis=0) & np.isfinite(truth.height_mm)
+    mask = truth.region(label) & truth.lit & np.isfinite(truth.height_mm)
     if margin_px:
         # The frame of the image is no border of the region: border_value keeps its pixels.
         mask = ndimage.binary_erosion(
@@ -197,8 +197,8 @@ def _region(
 def _name(truth: Truth) -> str:
     """The scene's name, from the TOML that the truth carries; empty where it carries none."""
     try:
-        return str(tomllib.loads(truth.scene).get("name", ""))
-    except tomllib.TOMLDecodeError as error:
+        return str(parse_toml(truth.scene).get("name", ""))
+    except ValueError as error:
         raise ScoreError(
             f"the truth's scene is not valid TOML ({error}): make the truth again from its scene"
         ) from error

@@ -314,7 +314,7 @@ def _mask(stack: scenes.Stack) -> Mask:
 def _pictures(clean: _Experiment, trap: _Experiment) -> dict[str, Any]:
     """The chapter's figures 32.1 to 32.7, in its gray; pixels that no light reaches are blue."""
     frames = clean.stack.frames[0].astype(np.float32)
-    rec, shadow = clean.first, ~clean.truth.lit.any(axis=0)
+    rec, shadow = clean.first, ~clean.truth.lit
     quad = Figure(figsize=(9.0, 6.6), layout="constrained")
     for k, axes in enumerate(quad.subplots(2, 2).flat):
         figures.draw_map(
@@ -347,7 +347,7 @@ def _pictures(clean: _Experiment, trap: _Experiment) -> dict[str, Any]:
         ),
         "6-modulation-and-mask": mask,
         "7-error-map": gray(
-            np.where(~trap.truth.lit.any(axis=0), np.nan, error),
+            np.where(~trap.truth.lit, np.nan, error),
             "Height error |h − true| (blue: shadow)",
             "mm",
             0.0,

@@ -98,7 +98,7 @@ def _rendered(name: str) -> Case:
     scene = scenes.load(source, overrides)
     transport = render.trace(scene)
     truth = render.truth(scene, transport)
-    lit = truth.lit.any(axis=0)
+    lit = truth.lit
     regions = {label: evaluation.scored(truth, label) for label in truth.labels}
     per_rad = mm_per_rad(scenes.Calibration.of(scene), finest_px(scene))
     return Case(

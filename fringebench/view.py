@@ -179,13 +179,13 @@ def _truth(path: str | Path) -> View:
             caption="Surface normals as colours: red to the right, green up, blue towards +z.",
         ),
     ]  # fmt: skip
-    for p in range(len(truth.lit)):
+    for p in range(len(truth.lit_by)):
         panels += [
-            Panel(f"Lit by projector {p}", truth.lit[p].astype(np.uint8), names=("no", "yes")),
-            Panel(f"Column of projector {p}", truth.column_px[p], "px"),
-            Panel(f"Row of projector {p}", truth.row_px[p], "px"),
+            Panel(f"Lit by projector {p}", truth.lit_by[p].astype(np.uint8), names=("no", "yes")),
+            Panel(f"Column of projector {p}", truth.columns_px[p], "px"),
+            Panel(f"Row of projector {p}", truth.rows_px[p], "px"),
             Panel(
-                f"Projector {p}: direct share", truth.direct_fraction[p], "share", limits=(0.0, 1.0)
+                f"Projector {p}: direct share", truth.direct_fractions[p], "share", limits=(0.0, 1.0)
             ),
         ]
     height = truth.height_mm
@@ -194,7 +194,7 @@ def _truth(path: str | Path) -> View:
         *_about("", height.shape),
         ["labels", ", ".join(truth.labels)],
         ["heights", f"{seen.min():.4f} to {seen.max():.4f} mm" if seen.size else "none in view"],
-        ["projectors", str(len(truth.lit))],
+        ["projectors", str(len(truth.lit_by))],
     ]
     told = "True heights; drag to turn, hover for pixel and height."
     surface = Surface(height, None, truth.xyz_mm, told) if seen.size else None

@@ -25,13 +25,13 @@ class Truth:
     label: NDArray[np.uint16]
     """(row, col) index into `labels` plus 1; 0 is nothing."""
     labels: tuple[str, ...]
-    lit: NDArray[np.bool_]
+    lit_by: NDArray[np.bool_]
     """(projector, row, col): the projector's light reaches the point unblocked and from the seen side."""
-    column_px: Floats
+    columns_px: Floats
     """(projector, row, col) continuous projector column of the point, lit or not."""
-    row_px: Floats
+    rows_px: Floats
     """(projector, row, col) continuous projector row of the point."""
-    direct_fraction: Floats
+    direct_fractions: Floats
     """(projector, row, col) share of direct light in the white-pattern radiance, [0, 1]; NaN where dark."""
     scene: str = ""
     """TOML of the scene."""
@@ -45,6 +45,29 @@ class Truth:
     def height_mm(self) -> Floats:
         """(row, col) world z of the point."""
         return self.xyz_mm[..., 2]
+
+    @property
+    def lit(self) -> NDArray[np.bool_]:
+        """(row, col): at least one projector's light reaches the point."""
+        return np.asarray(self.lit_by.any(axis=0), dtype=np.bool_)
+
+    @property
+    def column_px(self) -> Floats:
+        """(row, col) continuous column of the first projector."""
+        first: Floats = self.columns_px[0]
+        return first
+
+    @property
+    def row_px(self) -> Floats:
+        """(row, col) continuous row of the first projector."""
+        first: Floats = self.rows_px[0]
+        return first
+
+    @property
+    def direct_fraction(self) -> Floats:
+        """(row, col) share of direct light, of the first projector."""
+        first: Floats = self.direct_fractions[0]
+        return first
 
     def region(self, label: str) -> NDArray[np.bool_]:
         """(row, col) mask of one label; raises `ScoreError` for a label the scene does not have."""
@@ -62,11 +85,11 @@ class Truth:
         for i, axis in enumerate("XYZ"):
             channels[f"xyz.{axis}"] = self.xyz_mm[..., i]
             channels[f"N.{axis}"] = self.normal[..., i]
-        for p in range(len(self.lit)):
-            channels[f"P{p}.lit"] = self.lit[p].astype(np.float16)
-            channels[f"P{p}.column"] = self.column_px[p]
-            channels[f"P{p}.row"] = self.row_px[p]
-            channels[f"P{p}.direct"] = self.direct_fraction[p]
+        for p in range(len(self.lit_by)):
+            channels[f"P{p}.lit"] = self.lit_by[p].astype(np.float16)
+            channels[f"P{p}.column"] = self.columns_px[p]
+            channels[f"P{p}.row"] = self.rows_px[p]
+            channels[f"P{p}.direct"] = self.direct_fractions[p]
         meta = {
             "units": {
                 "xyz": "mm",
@@ -77,7 +100,7 @@ class Truth:
             },
             "labels": list(self.labels),
             "materials": list(self.materials),
-            "projectors": len(self.lit),
+            "projectors": len(self.lit_by),
             "scene": self.scene,
         }
         exr.write(path, KIND, channels, meta)

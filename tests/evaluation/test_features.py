@@ -130,7 +130,7 @@ def test_edges_and_shadow_of_a_step_move_its_height(step):
     lit = np.ones(SHAPE, bool)
     lit[rows.min() : rows.max() + 1, cols.max() + 1 : cols.max() + 9] = False
     height[~lit] = np.random.default_rng(0).uniform(-4.0, 4.0, int((~lit).sum()))
-    shaded = replace(truth, lit=lit[None])
+    shaded = replace(truth, lit_by=lit[None])
     measured = features(height, shaded)["step_height"].measured_mm
     assert measured == pytest.approx(1.5, abs=ROUNDING_MM)
 

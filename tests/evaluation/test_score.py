@@ -107,7 +107,7 @@ def test_pixel_lit_by_one_of_two_projectors_counts_as_shadow(truth_of):
     first[:, 5:] = True
     second = np.zeros(SHAPE, bool)
     second[:, :20] = True
-    both = replace(truth, lit=np.stack([first, second]))
+    both = replace(truth, lit_by=np.stack([first, second]))
     assert evaluation.scored(both, "base").all()
 
 

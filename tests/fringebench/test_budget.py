@@ -29,9 +29,9 @@ def test_pixels_without_width_see_the_phase_of_their_centres() -> None:
     scene = scenes.load("step", {**SMALL, "sampling.depth": 1})
     transport, truth = render.trace(scene, footprint=0.0), render.truth(scene)
     cos, sin = transport.total[0, 1], transport.total[0, 2]
-    lit = truth.lit[0]
+    lit = truth.lit_by[0]
     period = transport.bases[0].channels[1].period_px
-    phase = 2 * np.pi * truth.column_px[0] / period
+    phase = 2 * np.pi * truth.columns_px[0] / period
     error = np.angle(np.exp(1j * (np.arctan2(sin, cos) - phase)))[lit]
     # float32 coordinates; and the rare ray that meets an edge
     assert np.percentile(np.abs(error), 99) < 1e-3

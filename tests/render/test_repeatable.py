@@ -26,7 +26,7 @@ def test_light_on_smooth_surfaces_depends_on_no_thread(threads) -> None:
         threads(count)
         transport = render.trace(scene, seed=5)
         truth = render.truth(scene, transport)
-        taken.append((transport.total, truth.xyz_mm, truth.direct_fraction))
+        taken.append((transport.total, truth.xyz_mm, truth.direct_fractions))
     for one, three in zip(*taken, strict=True):
         np.testing.assert_array_equal(one, three)
 

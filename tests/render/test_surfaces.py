@@ -49,7 +49,7 @@ def fringe_contrast(transport: render.Transport, region: NDArray[np.bool_]) -> f
 
 def footprint(truth: Truth, period_px: float) -> NDArray[np.float64]:
     """Contrast that averaging over a pixel leaves, (row, col): the sinc of its width in projector columns."""
-    return np.sinc(np.gradient(truth.column_px[0].astype(np.float64), axis=1) / period_px)
+    return np.sinc(np.gradient(truth.columns_px[0].astype(np.float64), axis=1) / period_px)
 
 
 def test_fringes_bleed_more_the_thicker_the_body() -> None:
@@ -75,7 +75,7 @@ def test_mirror_sends_the_light_away() -> None:
 def test_groove_returns_light_from_its_other_side() -> None:
     groove = scenes.load("interreflection", SMALL)
     truth = render.truth(groove)
-    share = [np.nanmean(truth.direct_fraction[0][truth.region(s)]) for s in ("left", "right")]
+    share = [np.nanmean(truth.direct_fractions[0][truth.region(s)]) for s in ("left", "right")]
     assert max(share) < 0.95
     # The side that faces the projector less gets relatively more from the other.
     assert share[0] < share[1]
@@ -95,7 +95,7 @@ def test_defocus_costs_contrast_as_the_blur_disk_says() -> None:
         expected = np.where(x > 0, 2 * np.abs(j1(x)) / x, 1.0)
     expected = expected * footprint(truth, 16.0)
     for label in ("step-3mm", "step-6mm", "step-9mm"):
-        top = truth.region(label) & truth.lit[0] & (truth.normal[..., 2] > 0.99)
+        top = truth.region(label) & truth.lit_by[0] & (truth.normal[..., 2] > 0.99)
         one, cos, sin = (transport.total[0, c] for c in range(3))
         ratio = np.hypot(cos, sin)[top] / one[top] / expected[top]
         # 256 stratified points of the pupil, and edges' gradients, which the median passes over

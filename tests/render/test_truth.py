@@ -91,9 +91,9 @@ def test_truth_agrees_with_an_independent_ray_caster(name: str) -> None:
 
     for p in range(len(scene.projectors)):
         lit = embree.lit(points, triangles, p)
-        sure = interior(lit) & interior(truth.lit[p]) & away
+        sure = interior(lit) & interior(truth.lit_by[p]) & away
         assert sure.mean() > 0.6
-        assert np.array_equal(truth.lit[p][sure], lit[sure])
+        assert np.array_equal(truth.lit_by[p][sure], lit[sure])
 
 
 def flat_light(scene: scenes.Scene) -> render.Transport:
@@ -144,12 +144,12 @@ def test_projector_columns_follow_the_ideal_model() -> None:
     scene = scenes.load("chapter", {"camera.resolution": [200, 150]})
     truth = render.truth(scene, flat_light(scene))
     col = np.indices(truth.label.shape)[1]
-    offset = truth.column_px[0] - 2 * (col + 0.5) - 4.0 * truth.height_mm
+    offset = truth.columns_px[0] - 2 * (col + 0.5) - 4.0 * truth.height_mm
     # Float32 columns of up to 480 px.
     assert np.ptp(offset) < 2 * 480 * 2.0**-24 * 2
     assert offset.mean() == pytest.approx(240 - 200, abs=1e-4)
     row = np.indices(truth.label.shape)[0]
-    assert np.ptp(truth.row_px[0] * (44.566881162492446 / 480) - (row + 0.5) * 0.2) < 1e-4
+    assert np.ptp(truth.rows_px[0] * (44.566881162492446 / 480) - (row + 0.5) * 0.2) < 1e-4
 
 
 def test_the_steps_shadow_is_as_long_as_its_height_says() -> None:
@@ -157,7 +157,7 @@ def test_the_steps_shadow_is_as_long_as_its_height_says() -> None:
     truth = render.truth(scene, flat_light(scene))
     row = truth.label.shape[0] // 2
     x = truth.xyz_mm[row, :, 0]
-    dark = x[~truth.lit[0, row]]
+    dark = x[~truth.lit_by[0, row]]
     # Light slopes by 0.4: behind the edge at x = 17, 3 mm high, 1.2 mm of shadow; ends to half a pixel.
     assert dark.min() == pytest.approx(17.05, abs=1e-4)
     assert dark.max() == pytest.approx(18.15, abs=1e-4)
@@ -173,27 +173,27 @@ def test_pixels_that_see_nothing_are_nan() -> None:
     for image in (truth.xyz_mm, truth.normal):
         assert np.isnan(image[nothing]).all()
         assert np.isfinite(image[~nothing]).all()
-    for image in (truth.column_px, truth.row_px, truth.direct_fraction):
+    for image in (truth.columns_px, truth.rows_px, truth.direct_fractions):
         assert np.isnan(image[:, nothing]).all()
-    assert np.isfinite(truth.column_px[:, ~nothing]).all()
-    assert not truth.lit[:, nothing].any()
+    assert np.isfinite(truth.columns_px[:, ~nothing]).all()
+    assert not truth.lit_by[:, nothing].any()
 
 
 def test_what_lies_outside_the_projectors_image_is_dark_and_has_its_column_still() -> None:
     scene = small("chapter", **{"projectors.0.resolution": [240, 90]})
     truth = render.truth(scene, flat_light(scene))
     inside = (
-        (truth.column_px[0] >= 0)
-        & (truth.column_px[0] < 240)
-        & (truth.row_px[0] >= 0)
-        & (truth.row_px[0] < 90)
+        (truth.columns_px[0] >= 0)
+        & (truth.columns_px[0] < 240)
+        & (truth.rows_px[0] >= 0)
+        & (truth.rows_px[0] < 90)
     )
-    assert not truth.lit[0][~inside].any()
+    assert not truth.lit_by[0][~inside].any()
     assert (~inside).mean() > 0.1
-    assert np.isfinite(truth.column_px).all()
+    assert np.isfinite(truth.columns_px).all()
     plain = inside & truth.region("base") & (truth.xyz_mm[..., 0] < -14)
     assert plain.any()
-    assert truth.lit[0][plain].all()
+    assert truth.lit_by[0][plain].all()
 
 
 def test_a_projector_behind_the_surface_lights_nothing() -> None:
@@ -201,7 +201,7 @@ def test_a_projector_behind_the_surface_lights_nothing() -> None:
     # Lift the plate's edge out of it: only the side that faces the camera counts.
     truth = render.truth(scene, flat_light(scene))
     assert not truth.lit.any()
-    assert np.isfinite(truth.column_px).all()
+    assert np.isfinite(truth.columns_px).all()
 
 
 def test_every_projector_has_its_own_maps() -> None:
@@ -213,11 +213,11 @@ def test_every_projector_has_its_own_maps() -> None:
     )
     scene = one.model_copy(update={"projectors": (one.projectors[0], other)})
     truth = render.truth(scene, flat_light(scene))
-    assert truth.lit.shape[0] == 2
+    assert truth.lit_by.shape[0] == 2
     # Shadows fall to opposite sides of the block.
     x = truth.xyz_mm[..., 0]
-    assert x[~truth.lit[0]].min() > 3.9
-    assert x[~truth.lit[1]].max() < -3.9
+    assert x[~truth.lit_by[0]].min() > 3.9
+    assert x[~truth.lit_by[1]].max() < -3.9
 
 
 def test_labels_are_those_of_the_transport() -> None:
@@ -226,11 +226,11 @@ def test_labels_are_those_of_the_transport() -> None:
     truth = render.truth(scene, transport)
     sure = interior(truth.label)
     assert np.array_equal(truth.label[sure], transport.label[sure])
-    lit = truth.lit[0] & sure & interior(truth.lit[0])
+    lit = truth.lit_by[0] & sure & interior(truth.lit_by[0])
     # Direct light only: all of it where lit, and none to divide by in the shadow.
-    assert (truth.direct_fraction[0][lit] == 1).all()
-    dark = ~truth.lit[0] & sure & interior(truth.lit[0])
-    assert np.isnan(truth.direct_fraction[0][dark]).all()
+    assert (truth.direct_fractions[0][lit] == 1).all()
+    dark = ~truth.lit_by[0] & sure & interior(truth.lit_by[0])
+    assert np.isnan(truth.direct_fractions[0][dark]).all()
 
 
 def test_direct_fraction_is_one_on_a_lone_plane_and_less_beside_a_wall() -> None:
@@ -243,10 +243,10 @@ def test_direct_fraction_is_one_on_a_lone_plane_and_less_beside_a_wall() -> None
     top = (np.abs(x) < 3.5) & (np.abs(y) < 3.5) & (z == 1.5)
     # From a block's top nothing but sky is seen.
     for truth in (own, given):
-        assert (truth.direct_fraction[0][top] == 1).all()
+        assert (truth.direct_fractions[0][top] == 1).all()
     # The wall at x = -4 faces the projector and lights the plate before it.
-    before = (x > -4.6) & (x < -4.1) & (np.abs(y) < 3) & own.lit[0]
-    fraction = own.direct_fraction[0][before], given.direct_fraction[0][before]
+    before = (x > -4.6) & (x < -4.1) & (np.abs(y) < 3) & own.lit_by[0]
+    fraction = own.direct_fractions[0][before], given.direct_fractions[0][before]
     assert all(f.mean() < 0.97 for f in fraction)
     spread = np.sqrt(sum(f.var() / f.size for f in fraction))
     assert abs(fraction[0].mean() - fraction[1].mean()) < 5 * spread
@@ -254,8 +254,8 @@ def test_direct_fraction_is_one_on_a_lone_plane_and_less_beside_a_wall() -> None
 
 def test_a_projector_with_gamma_has_a_direct_fraction_too() -> None:
     scene = small("step", **{"projectors.0.gamma": 2.2})
-    bent = render.truth(scene, render.trace(scene, samples=16)).direct_fraction[0]
-    plain = render.truth(scene).direct_fraction[0]
+    bent = render.truth(scene, render.trace(scene, samples=16)).direct_fraction
+    plain = render.truth(scene).direct_fraction
     lit = np.isfinite(bent) & np.isfinite(plain)
     assert lit.mean() > 0.9
     noise = np.sqrt((bent[lit].var() + plain[lit].var()) / lit.sum())

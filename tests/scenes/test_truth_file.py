@@ -41,7 +41,7 @@ def truth() -> Truth:
 def test_every_map_survives_bit_by_bit(truth: Truth, tmp_path: Path) -> None:
     truth.write(tmp_path / "t.exr")
     back = Truth.read(tmp_path / "t.exr")
-    maps = ("xyz_mm", "normal", "label", "lit", "column_px", "row_px", "direct_fraction")
+    maps = ("xyz_mm", "normal", "label", "lit_by", "columns_px", "rows_px", "direct_fractions")
     for field in (*maps, "pad", "material"):
         ours, theirs = getattr(truth, field), getattr(back, field)
         assert ours.dtype == theirs.dtype, field
