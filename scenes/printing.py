@@ -96,8 +96,14 @@ def printed(board: Board) -> Print:
     """The board with everything drawn from its seed; the same board gives the same print.
 
     Raises `SceneError` or `FileError` for artwork that cannot be read, and `MeshError` for apertures that cannot be
-    meshed.
+    meshed. The last print is kept: light, truth and labels of a sample all ask for the same.
     """
+    return _printed(board.model_dump_json(), _stamps(board))
+
+
+@lru_cache(maxsize=1)
+def _printed(board_json: str, stamps: tuple[tuple[str, int, int], ...]) -> Print:
+    board: Board = TypeAdapter(Board).validate_json(board_json)
     layout = artwork(board)
     rng, paste = board.generator(PRINT), board.paste
     registration = _Registration(
