@@ -71,6 +71,10 @@ class Exposures(Frozen):
     def _one_way(self) -> Self:
         if (self.times_ms is None) == (self.auto is None):
             raise ValueError("give either times_ms, or auto (with relative for several exposures)")
+        if self.times_ms and self.relative != (1.0,):
+            raise ValueError(
+                f"relative {list(self.relative)} scales what auto finds, but times_ms is given: drop one of them"
+            )
         return self
 
     @property

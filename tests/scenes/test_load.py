@@ -48,6 +48,10 @@ def test_fewer_pixels_keep_the_field_of_view() -> None:
         ({"patterns.periods_px": [16.0, 8.0]}, "finest first, e.g. [8.0, 16.0]"),
         ({"objects.0.material": "gold2"}, "did you mean 'gold'"),
         ({"exposures.auto.label": "bse"}, "no object's label"),
+        (
+            {"exposures": {"times_ms": [1.0], "relative": [1.0, 4.0]}},
+            "scales what auto finds, but times_ms is given",
+        ),
         ({"camera.fx_px": float("nan")}, "camera.fx_px: Input should be a finite number"),
         (
             {"camera.pose": {"R": [[1, 0, 0], [0, 1, 0], [0, 0, 2]], "t_mm": [0, 0, 0]}},
