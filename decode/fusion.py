@@ -67,10 +67,10 @@ class Samples:
         """Where every step of one exposure is below saturation."""
         if self.saturation_dn == float("inf"):
             return self.device.types.Bool(True)
-        brightest = self.dn[exposure][0]
-        for step in self.dn[exposure][1:]:
-            brightest = self.device.dr.maximum(brightest, step)
-        return brightest < self.saturation_dn
+        first, *others = [dn < self.saturation_dn for dn in self.dn[exposure]]
+        for below in others:
+            first = first & below
+        return first
 
     def select(self, condition: Lanes, yes: Phasor, no: Phasor) -> Phasor:
         """Per pixel one of two phasors."""

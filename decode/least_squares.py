@@ -5,7 +5,8 @@ Sample n of exposure k has the mean ``d + t_k E_n`` with ``E_n = a + b cos(phi +
 ``S_n = sum_k t_k^2 / v_nk`` and ``R_n = sum_k t_k (I_nk - d) / v_nk``; three unknowns are then fitted to N steps
 (Greivenkamp 1984, weighted), and the inverse of the normal matrix is the covariance.
 
-Weights come from a first fit's E_n, not from each sample itself: noise that sets its own weight biases the mean.
+Variances are taken at each step's mean brightness over the exposures, not at each sample itself: noise that sets its own
+weight biases the mean. What is left of that is below 1 % of sigma from 10 electrons a sample up.
 """
 
 from abc import abstractmethod
@@ -63,9 +64,9 @@ def solve(
     """
     dr = device.dr
     wave = waves(fringes)
-    total = total_of(weight)
-    share = [w / total for w in weight]
-    level = total_of(pull) / total
+    part = dr.rcp(total_of(weight))
+    share = [w * part for w in weight]
+    level = total_of(pull) * part
     means = [total_of([s * float(x) for s, x in zip(share, row, strict=True) if x]) for row in wave]
     centred = [[float(x) - mean for x in row] for row, mean in zip(wave, means, strict=True)]
     rest = [p - w * level for p, w in zip(pull, weight, strict=True)]
@@ -78,7 +79,8 @@ def solve(
     xx, xy, yy = moment(weighted[0], x), moment(weighted[0], y), moment(weighted[1], y)
     px, py = moment(x, rest), moment(y, rest)
     det = xx * yy - xy * xy
-    cosine, sine = (yy * px - xy * py) / det, (xx * py - xy * px) / det
+    inverse = dr.rcp(det)
+    cosine, sine = (yy * px - xy * py) * inverse, (xx * py - xy * px) * inverse
     c, s = at or (cosine, sine)
     power = c * c + s * s
     across = s * s * yy + 2.0 * c * s * xy + c * c * xx
@@ -86,7 +88,7 @@ def solve(
         offset=level - cosine * means[0] - sine * means[1],
         cosine=cosine,
         sine=sine,
-        variance_rad2=across / (det * power * power),
+        variance_rad2=across * inverse / (power * power),
         # NaN, where nothing has weight, is not greater
         determined=(det > SINGULAR * xx * yy) & (dr.minimum(xx, yy) > 0.0),
     )
@@ -102,11 +104,11 @@ def total_of(terms: Sequence[Lanes]) -> Lanes:
 
 @dataclass(frozen=True)
 class WeightedLeastSquares(FusionRule):
-    """What the rules share: a first fit with weights for pure shot noise (``v ~ t_k``), then `refinements` fits with the
-    noise model's weights at the last fit's E_n.
+    """What the rules share: the fit, with variances taken at each step's own mean brightness over the exposures, and at
+    the fit's in `refinements` more passes.
     """
 
-    refinements: int = 1
+    refinements: int = 0
 
     @abstractmethod
     def mask(self, samples: Samples) -> list[list[Lanes]]:
@@ -115,10 +117,11 @@ class WeightedLeastSquares(FusionRule):
     def fit(self, samples: Samples) -> tuple[Solution, list[list[Lanes]]]:
         """The fit to the samples that count, and which those are."""
         masks = self.mask(samples)
-        found = fitted(samples, masks, None)
-        if any(slope for _, slope in samples.noise):
-            for _ in range(self.refinements):
-                found = fitted(samples, masks, found)
+        if not any(slope for _, slope in samples.noise):
+            return fitted(samples, masks, None), masks
+        found = fitted(samples, masks, brightness(samples, masks))
+        for _ in range(self.refinements):
+            found = fitted(samples, masks, found.radiance(samples.fringes))
         return found, masks
 
     def fuse(self, samples: Samples) -> Phasor:
@@ -156,28 +159,40 @@ class MaskedLeastSquares(WeightedLeastSquares):
         return [[dn < samples.saturation_dn for dn in steps] for steps in samples.dn]
 
 
-def fitted(samples: Samples, masks: list[list[Lanes]], last: Solution | None) -> Solution:
-    """One weighted fit, the noise model taken at the last fit's radiance; without one, as for shot noise alone."""
+def fitted(samples: Samples, masks: list[list[Lanes]], light: Sequence[Lanes] | None) -> Solution:
+    """One weighted fit; the noise model takes each step's radiance from `light`, None if it needs none."""
     dr, types = samples.device.dr, samples.device.types
-    radiance = None if last is None else last.radiance(samples.fringes)
     weight, pull = [], []
     for n in range(len(samples.fringes.frames)):
         s = r = types.Float(0.0)
-        light = None if radiance is None else dr.maximum(radiance[n], 0.0)
+        e = None if light is None else dr.maximum(light[n], 0.0)
         for k, time_ms in enumerate(samples.exposure_ms):
             constant, slope = samples.noise[k]
-            if not slope:
+            if e is None or not slope:
                 gain = types.Float(time_ms / constant)
-            elif light is None:
-                gain = types.Float(1.0 / slope)
             else:
-                gain = time_ms / (constant + (slope * time_ms) * light)
+                gain = dr.rcp(dr.fma(e, slope, constant / time_ms))
             gain = dr.select(masks[k][n], gain, 0.0)
             s = dr.fma(gain, time_ms, s)
             r = dr.fma(gain, samples.dn[k][n] - samples.black_level_dn, r)
         weight.append(s)
         pull.append(r)
     return solve(samples.device, samples.fringes, weight, pull)
+
+
+def brightness(samples: Samples, masks: list[list[Lanes]]) -> list[Lanes]:
+    """E_n of each step by itself, ``sum_k (I_nk - d) / sum_k t_k`` over the samples that count: best in pure shot noise."""
+    dr, types = samples.device.dr, samples.device.types
+    light = []
+    for n in range(len(samples.fringes.frames)):
+        time_ms = dn = types.Float(0.0)
+        for k, exposure_ms in enumerate(samples.exposure_ms):
+            counts = dr.select(masks[k][n], types.Float(1.0), 0.0)
+            time_ms = dr.fma(counts, exposure_ms, time_ms)
+            dn = dr.fma(counts, samples.dn[k][n] - samples.black_level_dn, dn)
+        # 0 / 0 where nothing counts: no weight will ask for it
+        light.append(dn * dr.rcp(time_ms))
+    return light
 
 
 def phasor_of(samples: Samples, found: Solution, masks: list[list[Lanes]]) -> Phasor:
@@ -187,7 +202,7 @@ def phasor_of(samples: Samples, found: Solution, masks: list[list[Lanes]]) -> Ph
     for k in samples.by_time:
         some = masks[k][0]
         for mask in masks[k][1:]:
-            some = some | mask
+            some = some if mask is some else some | mask
         time_ms = dr.select(some, samples.exposure_ms[k], time_ms)
     return Phasor(
         cosine=found.cosine * time_ms,

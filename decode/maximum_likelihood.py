@@ -19,7 +19,6 @@ from decode.fusion import Samples
 from decode.least_squares import (
     MaskedLeastSquares,
     Solution,
-    fitted,
     phasor_of,
     solve,
     total_of,
@@ -76,17 +75,18 @@ class CensoredMl(MaskedLeastSquares):
         start, masks = self.fit(samples)
         if samples.saturation_dn == np.inf and self.lowest_dn == -np.inf:
             return phasor_of(samples, start, masks)
-        # where unclipped samples alone determine nothing, begin with clipped ones at their limits
-        everything = [[samples.device.types.Bool(True) for _ in steps] for steps in samples.dn]
-        naive = fitted(samples, everything, None)
         good = start.determined
         clipped = ~good
         for steps in samples.dn:
             for dn in steps:
                 clipped |= (dn >= samples.saturation_dn) | (dn <= self.lowest_dn)
-        state = tuple(
-            dr.select(good, getattr(start, name), getattr(naive, name))
-            for name in ("offset", "cosine", "sine")
+        # where unclipped samples alone determine nothing, begin with the shortest exposure's clipped ones at their limits
+        shortest = samples.by_time[0]
+        naive, per_ms = samples.phasor(shortest), 1.0 / samples.exposure_ms[shortest]
+        state = (
+            dr.select(good, start.offset, (naive.offset - samples.black_level_dn) * per_ms),
+            dr.select(good, start.cosine, naive.cosine * per_ms),
+            dr.select(good, start.sine, naive.sine * per_ms),
         )
         offset, cosine, sine, variance, determined, _, _ = dr.while_loop(
             (*state, start.variance_rad2, good, samples.device.types.UInt32(0), clipped),

@@ -12,7 +12,7 @@ import render
 import scenes
 from evaluation.budget import Budget, Causes, variants
 from evaluation.budget import budget as add_up
-from fringebench.progress import Steps
+from fringebench.progress import Report, Steps
 from scenes.errors import DecodeError, FringebenchError
 from scenes.sensor import Emva, Sensor
 
@@ -53,8 +53,9 @@ def budget(
     for on in variants(causes):
         optical: Causes = on & frozenset(OPTICAL)
         if optical not in lights:
-            with steps.step("trace light with " + (", ".join(sorted(optical)) or "ideal optics")):
-                lights[optical] = _trace(scene, on, seed)
+            name = "trace light with " + (", ".join(sorted(optical)) or "ideal optics")
+            with steps.step(name) as done:
+                lights[optical] = _trace(scene, on, seed, done)
         if truth is None:  # the first variant has everything on
             truth = render.truth(scene, lights[optical])
             times = render.expose(lights[optical], seed=seed).exposure_ms
@@ -84,7 +85,7 @@ def _has(scene: scenes.Scene, cause: str) -> bool:
     return True
 
 
-def _trace(scene: scenes.Scene, on: Causes, seed: int) -> render.Transport:
+def _trace(scene: scenes.Scene, on: Causes, seed: int, done: Report) -> render.Transport:
     camera, projectors = scene.camera, scene.projectors
     if "defocus" not in on:
         camera = camera.model_copy(update={"lens": None})
@@ -92,7 +93,8 @@ def _trace(scene: scenes.Scene, on: Causes, seed: int) -> render.Transport:
     if "gamma" not in on:
         projectors = tuple(p.model_copy(update={"gamma": 1.0, "bits": 0}) for p in projectors)
     changed = scene.model_copy(update={"camera": camera, "projectors": projectors})
-    return render.trace(changed, seed=seed, footprint=float("footprint" in on))
+    footprint = float("footprint" in on)
+    return render.trace(changed, seed=seed, footprint=footprint, progress=done)
 
 
 def _expose(

@@ -14,7 +14,7 @@ also of those the mask rejects: the chapter's dim plane and dark corner lie belo
 """
 
 from dataclasses import asdict, dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,8 @@ from decode.validity import Reason
 from evaluation import figures, scored
 from evaluation.features import features
 from evaluation.phase_noise import Fringe, clipped, fringe
-from fringebench.run import prepare
+from fringebench.progress import Report, Steps
+from fringebench.run import keeping, prepare
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -75,19 +76,29 @@ class ChapterResult:
         return {"rows": [asdict(row) for row in self.rows]}
 
 
-def run(out_dir: str | Path | None = None, seed: int = 0) -> ChapterResult:
-    """Do the chapter's experiments; with `out_dir`, also write its figures there as PNGs.
+def run(
+    out_dir: str | Path | None = None, seed: int = 0, steps: Steps | None = None
+) -> ChapterResult:
+    """Do the chapter's experiments; with `out_dir`, also write its figures there as PNGs, and ``report.html``.
 
     Raises `FringebenchError` for a folder that cannot be written, a missing backend or a seed below 0.
     """
     folder = None if out_dir is None else prepare(out_dir)
+    steps = steps or Steps()
     clean, dim, trap = (
-        _Experiment(name, seed) for name in ("chapter", "chapter-dim", "chapter-trap")
+        _Experiment(name, seed, steps) for name in ("chapter", "chapter-dim", "chapter-trap")
     )
+    result = ChapterResult(_rows(clean, dim, trap))
     if folder is not None:
-        for name, figure in _pictures(clean, trap).items():
-            figures.save(figure, folder / f"figure-32-{name}.png")
-    return ChapterResult(_rows(clean, dim, trap))
+        with steps.step("figures"), keeping(folder) as keep:
+            drawn = _pictures(clean, trap)
+            for name, figure in drawn.items():
+                keep(f"figure-32-{name}.png", partial(figures.save, figure))
+            from fringebench.chapter_report import chapter_report
+
+            toml = {e.name: scenes.dumps(e.transport.scene) for e in (clean, dim, trap)}
+            keep("report.html", chapter_report(result, drawn, toml, seed, steps.seconds).write)
+    return result
 
 
 def _rows(clean: "_Experiment", dim: "_Experiment", trap: "_Experiment") -> tuple[Row, ...]:
@@ -179,14 +190,23 @@ def _rows(clean: "_Experiment", dim: "_Experiment", trap: "_Experiment") -> tupl
 class _Experiment:
     """One scene, traced once, captured `CAPTURES` times and decoded."""
 
-    def __init__(self, name: str, seed: int) -> None:
+    def __init__(self, name: str, seed: int, steps: Steps) -> None:
+        self.name = name
         scene = scenes.load(name)
-        self.transport = render.trace(scene, seed=seed)
+        with steps.step(f"trace light: {name}") as done:
+            self.transport = render.trace(scene, seed=seed, progress=done)
+        with steps.step(f"{CAPTURES} captures: {name}") as done:
+            self._capture(seed, done)
+
+    def _capture(self, seed: int, done: Report) -> None:
+        scene = self.transport.scene
         self.truth = render.truth(scene, self.transport)
         self.stack = render.expose(self.transport, seed=seed)
         stacks = [self.stack]
         # Noise is keyed by its seed; seeds of other runs must not share captures with this one.
-        stacks += [render.expose(self.transport, seed=seed + (k << 32)) for k in range(1, CAPTURES)]
+        for k in range(1, CAPTURES):
+            stacks.append(render.expose(self.transport, seed=seed + (k << 32)))
+            done(0.5 * (k + 1) / CAPTURES)
         decoded = [decode.reconstruct(s, **METHOD, min_modulation_dn=SCAN_DN) for s in stacks]
         self.first = decoded[0]
         self.heights = np.stack([rec.height_mm for rec in decoded]).astype(np.float64)

@@ -8,33 +8,46 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from typer.core import TyperGroup
 
 import scenes
 from fringebench.commands_compare import register as register_compare
 from fringebench.commands_dataset import register as register_dataset
 from fringebench.commands_import import register as register_import
 from fringebench.commands_regress import register as register_regress
+from fringebench.commands_rig import register as register_rig
 from fringebench.commands_view import register as register_view
+from fringebench.options import AsJson, Fusion, SceneName, Seed, Settings, ShowProgress
 from fringebench.overrides import parse_overrides
+from fringebench.progress import Mode, Steps
 from scenes.errors import FringebenchError
+
+# What a shell reports for a command that Ctrl-C ended.
+INTERRUPTED = 130
+
+
+class _Commands(TyperGroup):
+    """Ctrl-C is answered by us, with what was kept; typer would say "Aborted" and give status 1, a failed gate's."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as stopped:
+            kept = f"; {stopped}" if str(stopped) else "; no file is left half written"
+            sys.stderr.write(f"fringebench: interrupted{kept}\n")
+            raise typer.Exit(INTERRUPTED) from None
+
 
 app = typer.Typer(
     name="fringebench",
+    cls=_Commands,
     help="Render structured-light scenes, decode them, and score the heights against the mesh that was rendered.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
 )
 
-SceneName = Annotated[str, typer.Argument(help="A shipped scene's name, or a TOML file.")]
-Settings = Annotated[
-    list[str],
-    typer.Option(
-        "--set", metavar="KEY=VALUE", help="Override a key of the scene; may be repeated."
-    ),
-]
-Seed = Annotated[int, typer.Option(help="Seed of light paths and noise.", min=0)]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 Output = Annotated[Path | None, typer.Option("-o", "--output", help="Where to write.")]
 Input = Annotated[Path, typer.Argument(help="An EXR file of the step before.")]
 
@@ -45,17 +58,17 @@ def run(
     output: Output = None,
     settings: Settings = [],  # noqa: B006
     seed: Seed = 0,
-    fusion: Annotated[str, typer.Option(help="Exposure fusion rule.")] = "max-modulation",
+    fusion: Fusion = "max-modulation",
+    progress: ShowProgress = Mode.AUTO,
     as_json: AsJson = False,
 ) -> None:
     """The whole way: trace, expose, decode, score; writes every file and prints the score table."""
     loaded = scenes.load(scene, parse_overrides(settings))
     folder = output or Path(f"fringebench-{loaded.name}")
 
-    from fringebench.progress import Steps
     from fringebench.run import run as run_scene
 
-    result = run_scene(loaded, folder, seed, fusion, Steps(_terminal()))
+    result = run_scene(loaded, folder, seed, fusion, _steps(progress))
     if as_json:
         _print_json(result.score.to_dict())
         return
@@ -117,16 +130,18 @@ def render_scene(
     depth: Annotated[
         int | None, typer.Option(help="Surfaces light may meet; 1: direct only.", min=1)
     ] = None,
+    progress: ShowProgress = Mode.AUTO,
 ) -> None:
     """Trace a scene's light transport, once, for all its patterns."""
     loaded = scenes.load(scene, parse_overrides(settings))
     import render
 
-    with _step("trace light"):
-        transport = render.trace(loaded, seed=seed, samples=samples, depth=depth)
-    transport.write(output)
+    steps = _steps(progress)
+    with steps.step("trace light") as done:
+        transport = render.trace(loaded, seed=seed, samples=samples, depth=depth, progress=done)
+        transport.write(output)
     if truth:
-        with _step("truth"):
+        with steps.step("truth"):
             render.truth(loaded, transport).write(truth)
 
 
@@ -140,14 +155,15 @@ def expose(
         list[float], typer.Option(help="Exposure time; may be repeated. Default: the scene's own.")
     ] = [],  # noqa: B006
     seed: Seed = 0,
+    progress: ShowProgress = Mode.AUTO,
 ) -> None:
     """Turn transport into frames of digital numbers: exposures, noise, clipping."""
     import render
 
     light = render.Transport.read(transport)
     exposures = scenes.Exposures(times_ms=tuple(exposure_ms)) if exposure_ms else None
-    with _step("expose"):
-        render.expose(light, seed=seed, exposures=exposures).write(output)
+    with _steps(progress).step("expose") as done:
+        render.expose(light, seed=seed, exposures=exposures, progress=done).write(output)
 
 
 @app.command(
@@ -158,7 +174,7 @@ def decode_stack(
     output: Annotated[Path, typer.Option("-o", "--output", help="Reconstruction file.")] = Path(
         "reconstruction.exr"
     ),
-    fusion: Annotated[str, typer.Option(help="Exposure fusion rule.")] = "max-modulation",
+    fusion: Fusion = "max-modulation",
     unwrap: Annotated[
         str | None, typer.Option(help="Unwrapping: temporal, row-scan, quality-guided.")
     ] = None,
@@ -169,11 +185,12 @@ def decode_stack(
         tuple[int, int, int, int] | None,
         typer.Option(metavar="ROW0 ROW1 COL0 COL1", help="Decode only this region."),
     ] = None,
+    progress: ShowProgress = Mode.AUTO,
 ) -> None:
     """Reconstruct heights from a stack."""
     import decode
 
-    with _step("decode"):
+    with _steps(progress).step("decode"):
         decode.reconstruct(
             scenes.Stack.read(stack), fusion=fusion, unwrap=unwrap, height=height, roi=roi
         ).write(output)
@@ -206,12 +223,16 @@ def evaluate(
 
 
 @app.command(epilog="Example: fringebench chapter -o figures --json")
-def chapter(output: Output = None, seed: Seed = 0, as_json: AsJson = False) -> None:
+def chapter(
+    output: Output = None,
+    seed: Seed = 0,
+    progress: ShowProgress = Mode.AUTO,
+    as_json: AsJson = False,
+) -> None:
     """The chapter's three captures: its figures as PNGs, and chapter beside theory beside measured."""
     from fringebench.chapter import run as run_chapter
 
-    with _step("chapter"):
-        result = run_chapter(output, seed=seed)
+    result = run_chapter(output, seed, _steps(progress))
     if as_json:
         _print_json(result.to_dict())
         return
@@ -244,6 +265,7 @@ register_compare(app)
 register_regress(app)
 register_dataset(app)
 register_import(app)
+register_rig(app)
 register_view(app)
 
 
@@ -251,6 +273,9 @@ def main() -> None:
     """Run the command line; errors a user can mend are one message and status 2."""
     try:
         app()
+    except KeyboardInterrupt:
+        sys.stderr.write("fringebench: interrupted\n")
+        sys.exit(INTERRUPTED)
     except FringebenchError as error:
         sys.stderr.write(f"fringebench: {error}\n")
         sys.exit(2)
@@ -264,14 +289,8 @@ def _console() -> Console:
     return Console()
 
 
-def _terminal() -> Console:
-    return Console(stderr=True)
-
-
-def _step(name: str) -> Any:
-    from fringebench.progress import Steps
-
-    return Steps(_terminal()).step(name)
+def _steps(mode: Mode) -> Steps:
+    return Steps(Console(stderr=True), mode)
 
 
 def _print_json(value: Any) -> None:

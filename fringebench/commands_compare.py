@@ -9,14 +9,16 @@ import typer
 from rich.console import Console
 
 import scenes
+from fringebench.options import AsJson, SceneName, Seed, Settings, ShowProgress
 from fringebench.overrides import parse_overrides
+from fringebench.progress import Mode, Steps
 
 # Columns of text when nobody says how many there are.
 WIDTH = 120
 
 
 def compare(
-    scene: Annotated[str, typer.Argument(help="A shipped scene's name, or a TOML file.")] = "bench",
+    scene: SceneName = "bench",
     strategies: Annotated[
         str | None,
         typer.Option(metavar="LIST", help="Names, separated by commas; default: all."),
@@ -29,14 +31,10 @@ def compare(
         Path | None,
         typer.Option("-o", "--output", help="Also write compare.json and figures here."),
     ] = None,
-    settings: Annotated[
-        list[str],
-        typer.Option(
-            "--set", metavar="KEY=VALUE", help="Override a key of the scene; may be repeated."
-        ),
-    ] = [],  # noqa: B006
-    seed: Annotated[int, typer.Option(help="Seed of light paths and noise.", min=0)] = 0,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+    settings: Settings = [],  # noqa: B006
+    seed: Seed = 0,
+    progress: ShowProgress = Mode.AUTO,
+    as_json: AsJson = False,
 ) -> None:
     """HDR strategies side by side: one transport, at equal total exposure time and at equal frame count."""
     loaded = scenes.load(scene, parse_overrides(settings))
@@ -46,12 +44,11 @@ def compare(
 
     from fringebench.compare import compare as run
     from fringebench.comparison_output import tables, write
-    from fringebench.progress import Steps
     from fringebench.run import prepare
 
     if output:
         prepare(output)  # a folder that cannot be is told before the work, not after
-    result = run(loaded, names, repeats, seed, Steps(Console(stderr=True)))
+    result = run(loaded, names, repeats, seed, Steps(Console(stderr=True), progress))
     written = write(result, output) if output else []
     if as_json:
         sys.stdout.write(json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n")

@@ -16,7 +16,9 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from fringebench.options import ShowProgress, scene_names
 from fringebench.overrides import parse_overrides
+from fringebench.progress import Lines, Mode
 from scenes.errors import DatasetError
 
 GATE_FAILED = 1
@@ -32,7 +34,8 @@ def register(app: typer.Typer) -> None:
 
 def dataset(
     scene: Annotated[
-        str | None, typer.Argument(help="A shipped scene's name, or a TOML file.")
+        str | None,
+        typer.Argument(help="A shipped scene's name, or a TOML file.", autocompletion=scene_names),
     ] = None,
     count: Annotated[int | None, typer.Option(help="How many samples.", min=1)] = None,
     output: Annotated[
@@ -67,6 +70,7 @@ def dataset(
             "--set", metavar="KEY=VALUE", help="Override a key of the scene; may be repeated."
         ),
     ] = [],  # noqa: B006
+    progress: ShowProgress = Mode.AUTO,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")] = False,
 ) -> None:
     """Make a data set of random samples of a scene, or go on with one that was interrupted.
@@ -82,14 +86,18 @@ def dataset(
         )
     processes = workers or _cores()
     if repair:
-        status, answer = _repair(output, processes, scheduler)
+        status, answer = _repair(output, processes, scheduler, progress)
     elif verify:
-        status, answer = _verify(output)
+        status, answer = _verify(output, progress)
     else:
         if scene is None or count is None:
             raise DatasetError("give a scene and --count, or --verify or --repair with -o")
         status, answer = _build(
-            (scene, settings), output, (count, seed, _splits(split)), (processes, scheduler, strict)
+            (scene, settings),
+            output,
+            (count, seed, _splits(split)),
+            (processes, scheduler, strict),
+            progress,
         )
     if as_json:
         sys.stdout.write(json.dumps(answer.pop("json"), indent=2, allow_nan=False) + "\n")
@@ -104,6 +112,7 @@ def _build(
     where: str,
     size: tuple[int, int, dict[str, float] | None],
     means: tuple[int, str | None, bool],
+    mode: Mode,
 ) -> tuple[int, dict[str, Any]]:
     import scenes
     from fringebench.datasets.build import build
@@ -113,7 +122,7 @@ def _build(
     plan = Plan.of(scenes.load(scene, parse_overrides(settings)), count, seed, splits)
     workers, scheduler, strict = means
     try:
-        with _Bar("samples") as bar:
+        with _Bar("samples", mode) as bar:
             built = build(plan, where, workers, scheduler, strict, bar.update)
     except KeyboardInterrupt:
         sys.stderr.write(
@@ -146,10 +155,10 @@ def _build(
     }
 
 
-def _verify(where: str) -> tuple[int, dict[str, Any]]:
+def _verify(where: str, mode: Mode) -> tuple[int, dict[str, Any]]:
     from fringebench.datasets.verify import verify
 
-    with _Bar("checked") as bar:
+    with _Bar("checked", mode) as bar:
         found = verify(where, bar.update)
     text = [f"{p.file}: {p.what}" for p in found] or [f"{where}: every file is as it was made"]
     if found:
@@ -161,10 +170,12 @@ def _verify(where: str) -> tuple[int, dict[str, Any]]:
     }
 
 
-def _repair(where: str, workers: int, scheduler: str | None) -> tuple[int, dict[str, Any]]:
+def _repair(
+    where: str, workers: int, scheduler: str | None, mode: Mode
+) -> tuple[int, dict[str, Any]]:
     from fringebench.datasets.build import repair
 
-    with _Bar("repaired") as bar:
+    with _Bar("repaired", mode) as bar:
         done = repair(where, workers, scheduler, bar.update)
     text = [f"{p.file}: {p.what}" for p in done.problems]
     text.append(f"{len(done.repaired)} samples made again")
@@ -205,11 +216,12 @@ def _cores() -> int:
 
 
 class _Bar:
-    """A bar with rate and time left, on a terminal; nothing when piped."""
+    """A bar with rate and time left, on a terminal; lines where asked for; nothing when piped."""
 
-    def __init__(self, what: str) -> None:
+    def __init__(self, what: str, mode: Mode) -> None:
         console = Console(stderr=True)
         self._what = what
+        self._lines = Lines(console, what, resumes=True) if mode is Mode.PLAIN else None
         self._progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -217,7 +229,7 @@ class _Bar:
             TextColumn("{task.fields[rate]}"),
             TimeRemainingColumn(),
             console=console,
-            disable=not console.is_terminal,
+            disable=mode is not Mode.AUTO or not console.is_terminal,
             speed_estimate_period=600.0,
         )
         self._task: TaskID | None = None
@@ -231,6 +243,8 @@ class _Bar:
 
     def update(self, done: int, bad: int, total: int) -> None:
         """Samples done, samples that went wrong, samples in all."""
+        if self._lines is not None:
+            self._lines.report(done / total, f"{done} of {total}, {bad} bad")
         if self._task is None:
             # What was there before this run is no measure of its speed.
             self._task = self._progress.add_task(self._what, total=total, completed=done, rate="")

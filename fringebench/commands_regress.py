@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from fringebench.options import AsJson, Fusion, SceneName, Seed, Settings, ShowProgress
+from fringebench.progress import Mode, Steps
 from scenes.errors import FringebenchError
-
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 
 
 def regress(
@@ -34,10 +34,10 @@ def regress(
     timeout: Annotated[
         float, typer.Option(help="Seconds a command may take for one stack.")
     ] = 600.0,
+    progress: ShowProgress = Mode.AUTO,
     as_json: AsJson = False,
 ) -> None:
     """Hold a decoder against a baseline: exit status 1 if bias, silent errors or coverage got worse."""
-    from fringebench.progress import Steps
     from fringebench.regress import regress as run
     from fringebench.regress import told
 
@@ -47,7 +47,7 @@ def regress(
         update=update,
         seeds=parse_seeds(seeds),
         timeout_s=timeout,
-        steps=Steps(Console(stderr=True)),
+        steps=Steps(Console(stderr=True), progress),
     )
     if as_json:
         _print_json(result.to_dict())
@@ -87,32 +87,27 @@ def export(
 
 
 def budget(
-    scene: Annotated[str, typer.Argument(help="A shipped scene's name, or a TOML file.")],
-    settings: Annotated[
-        list[str],
-        typer.Option(
-            "--set", metavar="KEY=VALUE", help="Override a key of the scene; may be repeated."
-        ),
-    ] = [],  # noqa: B006
-    seed: Annotated[int, typer.Option(help="Seed of light paths and noise.", min=0)] = 0,
+    scene: SceneName,
+    settings: Settings = [],  # noqa: B006
+    seed: Seed = 0,
     repeats: Annotated[int, typer.Option(help="Decodes of each noisy variant.", min=1)] = 4,
-    fusion: Annotated[str, typer.Option(help="Exposure fusion rule.")] = "max-modulation",
+    fusion: Fusion = "max-modulation",
     saturation: Annotated[
         str, typer.Option(help="reject, or ignore: what a decoder without a saturation mask does.")
     ] = "reject",
+    progress: ShowProgress = Mode.AUTO,
     as_json: AsJson = False,
 ) -> None:
     """Which cause owns which millimetre: causes of error switched off, and on, one at a time."""
     import scenes
     from fringebench.budget import budget as run
     from fringebench.overrides import parse_overrides
-    from fringebench.progress import Steps
 
     found = run(
         scenes.load(scene, parse_overrides(settings)),
         seed,
         repeats,
-        Steps(Console(stderr=True)),
+        Steps(Console(stderr=True), progress),
         fusion=fusion,
         saturation=saturation,
     )

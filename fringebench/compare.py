@@ -24,7 +24,7 @@ from evaluation.strategies import (
     ladder,
     strategies,
 )
-from fringebench.progress import Steps
+from fringebench.progress import Report, Steps
 from scenes.errors import FringebenchError, ScoreError
 from scenes.patterns import Axis
 
@@ -60,8 +60,8 @@ def compare(
             "set patterns.kind to phase-shift"
         )
     shown = steps or Steps()
-    with shown.step("trace light"):
-        bench = _Bench(scene, repeats, seed)
+    with shown.step("trace light") as progress:
+        bench = _Bench(scene, repeats, seed, progress)
     entries: list[Entry] = []
     left_out: list[tuple[str, str, str]] = []
     first: FringebenchError | None = None
@@ -96,9 +96,9 @@ def compare(
 class _Bench:
     """The scene's light, its truth, and the acquisition that sets the budgets."""
 
-    def __init__(self, scene: scenes.Scene, repeats: int, seed: int) -> None:
+    def __init__(self, scene: scenes.Scene, repeats: int, seed: int, progress: Report) -> None:
         self.scene, self.repeats, self.seed = scene, repeats, seed
-        self.transport = render.trace(scene, seed=seed)
+        self.transport = render.trace(scene, seed=seed, progress=progress)
         self.truth = render.truth(scene, self.transport)
         times_ms = render.expose(self.transport, seed=seed, noise=False).exposure_ms
         if len(times_ms) == 1:

@@ -12,7 +12,7 @@ PACKAGES = ("fringebench", "mitsuba", "drjit", "numpy", "OpenEXR")
 
 
 def provenance(toml: str, seed: int | None, seconds: Mapping[str, float]) -> Section:
-    """The report's last section: how to make the same thing again."""
+    """The report's last section: how to make the same thing again; without a scene where `toml` is empty."""
     versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in PACKAGES)
     rows = [
         ["made", datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")],
@@ -22,8 +22,8 @@ def provenance(toml: str, seed: int | None, seconds: Mapping[str, float]) -> Sec
             "machine",
             f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
         ],
-        ["time", ", ".join(f"{name} {spent:.1f} s" for name, spent in seconds.items())],
     ]
-    return Section(
-        "Provenance", [Grid(["", "value"], rows, words=True), Listing("The scene as TOML", toml)]
-    )
+    if seconds:
+        rows.append(["time", ", ".join(f"{name} {spent:.1f} s" for name, spent in seconds.items())])
+    scene = [Listing("The scene as TOML", toml)] if toml else []
+    return Section("Provenance", [Grid(["", "value"], rows, words=True), *scene])

@@ -12,7 +12,7 @@ import numpy as np
 from evaluation.equivalence import Estimate
 from evaluation.regression import Figures, Margins, Row, against, measure
 from fringebench.decoders import TIMEOUT_S, Decoder, resolve
-from fringebench.progress import Steps
+from fringebench.progress import Report, Steps
 from fringebench.suite import CASES, Case, fingerprint, suite
 from scenes import Stack
 from scenes.errors import DecoderError, FileError, FringebenchError
@@ -148,8 +148,8 @@ def regress(
     mark = fingerprint(names)
     figures = {}
     for case in cases:
-        with steps.step(f"decode {case.name}"):
-            figures[case.name] = _figures(case, run, seeds)
+        with steps.step(f"decode {case.name}") as done:
+            figures[case.name] = _figures(case, run, seeds, done)
     if old is None:
         assert target is not None  # only then is there nothing to compare with
         Baseline(name, mark, figures).write(target)
@@ -179,9 +179,10 @@ def regress(
     return Regression(name, found.baseline, found.rows, figures, updated=True)
 
 
-def _figures(case: Case, run: Decoder, seeds: Sequence[int]) -> Figures:
+def _figures(case: Case, run: Decoder, seeds: Sequence[int], done: Report) -> Figures:
     heights, sigmas = [], []
-    for seed in seeds:
+    for i, seed in enumerate(seeds):
+        done(i / len(seeds))
         try:
             answer = run(case.stack(seed))
         except FringebenchError as error:

@@ -1,7 +1,6 @@
 """The whole way: a scene becomes light, a stack, heights, and a score; every step leaves its file."""
 
-import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,38 +47,31 @@ def run(
     """
     out = prepare(folder)
     steps = steps or Steps()
-    seconds: dict[str, float] = {}
+    step = steps.step
+    with keeping(out) as keep:
+        keep("scene.toml", lambda path: scenes.save(scene, path))
+        with step("trace light") as done:
+            transport = render.trace(scene, seed=seed, progress=done)
+            keep("transport.exr", transport.write)
+        with step("truth"):
+            truth = render.truth(scene, transport)
+            keep("truth.exr", truth.write)
+        with step("expose") as done:
+            stack = render.expose(transport, seed=seed, progress=done)
+            keep("stack.exr", stack.write)
+        with step("decode"):
+            reconstruction = decode.reconstruct(stack, fusion=fusion)
+            keep("reconstruction.exr", reconstruction.write)
+        with step("score"):
+            score = evaluation.score(reconstruction, truth)
+            keep("scores.json", score.write)
+            keep("cloud.ply", lambda path: evaluation.write_cloud(path, reconstruction, truth))
+            naive = evaluation.score(decode.reconstruct(middle_exposure(stack), **NAIVE), truth)
+        result = Run(out, scene, stack, truth, reconstruction, fusion, score, naive, steps.seconds)
+        with step("report"):
+            from fringebench.run_report import run_report
 
-    @contextmanager
-    def step(name: str) -> Iterator[None]:
-        start = time.perf_counter()
-        with steps.step(name):
-            yield
-        seconds[name] = time.perf_counter() - start
-
-    scenes.save(scene, out / "scene.toml")
-    with step("trace light"):
-        transport = render.trace(scene, seed=seed)
-        transport.write(out / "transport.exr")
-    with step("truth"):
-        truth = render.truth(scene, transport)
-        truth.write(out / "truth.exr")
-    with step("expose"):
-        stack = render.expose(transport, seed=seed)
-        stack.write(out / "stack.exr")
-    with step("decode"):
-        reconstruction = decode.reconstruct(stack, fusion=fusion)
-        reconstruction.write(out / "reconstruction.exr")
-    with step("score"):
-        score = evaluation.score(reconstruction, truth)
-        score.write(out / "scores.json")
-        evaluation.write_cloud(out / "cloud.ply", reconstruction, truth)
-        naive = evaluation.score(decode.reconstruct(middle_exposure(stack), **NAIVE), truth)
-    result = Run(out, scene, stack, truth, reconstruction, fusion, score, naive, seconds)
-    with step("report"):
-        from fringebench.run_report import run_report
-
-        run_report(result, dict(seconds)).write(out / "report.html")
+            keep("report.html", run_report(result, dict(steps.seconds)).write)
     return result
 
 
@@ -95,6 +87,22 @@ def middle_exposure(stack: scenes.Stack) -> scenes.Stack:
         stack.scene,
         stack.seed,
     )
+
+
+@contextmanager
+def keeping(folder: Path) -> Iterator[Callable[[str, Callable[[Path], None]], None]]:
+    """Give a function that writes a file of that name into `folder`; a `KeyboardInterrupt` says which were written."""
+    written: list[str] = []
+
+    def keep(name: str, write: Callable[[Path], None]) -> None:
+        write(folder / name)
+        written.append(name)
+
+    try:
+        yield keep
+    except KeyboardInterrupt:
+        files = ", ".join(written) or "nothing new"
+        raise KeyboardInterrupt(f"whole and kept in {folder}: {files}") from None
 
 
 def prepare(folder: str | Path) -> Path:

@@ -185,7 +185,10 @@ def _truth(path: str | Path) -> View:
             Panel(f"Column of projector {p}", truth.columns_px[p], "px"),
             Panel(f"Row of projector {p}", truth.rows_px[p], "px"),
             Panel(
-                f"Projector {p}: direct share", truth.direct_fractions[p], "share", limits=(0.0, 1.0)
+                f"Projector {p}: direct share",
+                truth.direct_fractions[p],
+                "share",
+                limits=(0.0, 1.0),
             ),
         ]
     height = truth.height_mm

@@ -1,7 +1,7 @@
 """Linear light becomes raw frames: any patterns, sensor and exposures, without tracing again."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -33,6 +33,7 @@ def expose(
     patterns: Patterns | None = None,
     direct_only: bool = False,
     noise: bool = True,
+    progress: Callable[[float], None] | None = None,
 ) -> Stack:
     """Take the pictures: every exposure of every frame of every projector, in the order of `Scene.frames`.
 
@@ -40,7 +41,8 @@ def expose(
     traced ones; any number of steps, amplitude or subset of the traced periods does for a linear projector.
     `direct_only` leaves interreflections out but keeps the exposure times of all light, so that nothing else changes.
     Without `noise` each sample is its mean, and pixels are all alike; clipping and rounding stay. `seed` is the
-    noise's; the same seed gives the same stack, whatever the number of threads.
+    noise's; the same seed gives the same stack, whatever the number of threads. `progress` is called with the share
+    that is done, frame by frame.
 
     The stack's `scene` is the TOML with these replacements; its `exposure_ms` are the times taken.
 
@@ -86,8 +88,15 @@ def expose(
                 )
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        # NumPy lets go of the interpreter while it draws and computes; list() lets errors through.
-        list(pool.map(take, range(len(shown))))
+        # NumPy lets go of the interpreter while it draws and computes; the loop lets errors through.
+        try:
+            for done, _ in enumerate(pool.map(take, range(len(shown))), 1):
+                if progress:
+                    progress(done / len(shown))
+        except BaseException:
+            # An interrupt need not wait for frames that nobody will see.
+            pool.shutdown(cancel_futures=True)
+            raise
     return Stack(
         frames.reshape(len(times_ms), len(shown), height, width),
         scene.frames,

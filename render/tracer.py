@@ -5,6 +5,7 @@ channels add up in registers, so memory does not grow with the number of samples
 (a delta light: nothing else can find it) and the path goes on by sampling the BSDF.
 """
 
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -25,6 +26,9 @@ from scenes.scene import Scene
 
 # Numbers a tile may return at once: 64 MB of float32. Smaller tiles start more kernels, larger ones gain nothing.
 TILE_NUMBERS = 1 << 24
+# Between tiles progress is told and an interrupt is heard. Starting one costs some 15 ms.
+TILE_S = 1.0
+FIRST_TILE_PIXELS = 1 << 14
 
 Draw = Callable[[Any], Any]
 """A pair of random numbers, Point2f, of the current sample, by its number of pair of dimensions."""
@@ -36,13 +40,15 @@ def trace(
     samples: int | None = None,
     depth: int | None = None,
     footprint: float = 1.0,
+    progress: Callable[[float], None] | None = None,
 ) -> Transport:
     """Trace the scene's light transport once, for all its patterns.
 
     `samples` light paths per pixel (None: the scene's) of up to `depth` surface vertices (None: the scene's; 1: direct
     light only). The same seed gives the same bits on one machine. Even `samples` are best: they lie in pairs opposite
     about the pixel's centre, which makes the phase of direct light nearly free of noise. `footprint` narrows the pixels
-    about their centres, 0 to points: to see what their width costs.
+    about their centres, 0 to points: to see what their width costs. `progress` is called every second or so with the
+    share that is done.
 
     Raises `RenderError` for impossible `samples`, `depth` or `footprint`.
     """
@@ -71,14 +77,23 @@ def trace(
     total = np.zeros((len(bases), max(channels), height, width), np.float32)
     direct = np.zeros_like(total)
     ambient = np.zeros((height, width), np.float32)
-    rows = max(1, TILE_NUMBERS // (width * (2 * sum(channels) + 1)))
-    for top in range(0, height, rows):
-        part = slice(top, min(top + rows, height))
+    most = max(1, TILE_NUMBERS // (width * (2 * sum(channels) + 1)))
+    # Tiles change nothing but this: a lane knows its pixel, not its tile. The first one tells what a row costs.
+    rows = min(most, max(1, height // 16, FIRST_TILE_PIXELS // width))
+    bottom = 0
+    while bottom < height:
+        start = time.perf_counter()
+        part = slice(bottom, min(bottom + rows, height))
         images = pass_.radiance(part, width, samples, seed)
         ambient[part] = next(images)
         for p, count in enumerate(channels):
             for c in range(count):
                 direct[p, c, part], total[p, c, part] = next(images), next(images)
+        bottom = part.stop
+        if progress:
+            progress(bottom / height)
+        faster = TILE_S / max(time.perf_counter() - start, 1e-3)
+        rows = min(most, max(1, int(rows * min(faster, 4.0))))
     ids = [scene.labels.index(surface.label) + 1 for surface in surfaces]
     label = _labels(mi_scene, camera, ids, (height, width))
     return Transport(

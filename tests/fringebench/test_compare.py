@@ -54,6 +54,7 @@ def test_hdr_rules_take_away_the_silent_bias_of_the_highlight(
     assert single.phase_bias_rad > 0.05
     assert region.phase_bias_rad < 0.1 * single.phase_bias_rad
     assert single.systematic_mm is not None and region.systematic_mm is not None
+    assert region.systematic_mm < 0.1 * single.systematic_mm
     for label in ("ink", "highlight"):
         coverage = entries[rule].regions[label].figures["coverage"]
         assert coverage is not None and coverage.value >= 0.99
