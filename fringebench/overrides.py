@@ -1,10 +1,10 @@
 """``--set key=value`` on the command line: values are TOML, bare words are text."""
 
-import tomllib
 from collections.abc import Iterable
 from typing import Any
 
 from scenes.errors import SceneError
+from scenes.foreign_text import parse_toml
 
 
 def parse_overrides(settings: Iterable[str]) -> dict[str, Any]:
@@ -24,6 +24,6 @@ def _one(setting: str) -> tuple[str, Any]:
             f"--set '{setting}': write key=value with a dotted key, e.g. --set camera.resolution=[320,240]"
         )
     try:
-        return key, tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        return key, parse_toml(f"value = {text}")["value"]
+    except ValueError:
         return key, text.strip()

@@ -16,6 +16,7 @@ from fringebench.progress import Report, Steps
 from fringebench.suite import CASES, Case, fingerprint, suite
 from scenes import Stack
 from scenes.errors import DecoderError, FileError, FringebenchError
+from scenes.foreign_text import parse_json
 from scenes.replace_file import replacing
 
 VERSION = 1
@@ -42,7 +43,7 @@ class Baseline:
     def read(cls, path: Path) -> "Baseline":
         """Read a baseline; raises `FileError` on anything but a whole one of this version."""
         try:
-            tree = json.loads(path.read_text("utf-8"))
+            tree = parse_json(path.read_text("utf-8"))
             if tree["format"] != "fringebench-baseline" or tree["version"] != VERSION:
                 raise FileError(
                     f"baseline '{path}' has format {tree['format']} {tree['version']}, not fringebench-baseline {VERSION}: "

@@ -14,7 +14,6 @@ The manifest is TOML::
 `Capture.load` reads it, `stack` the images. What the images themselves contradict is `decode.check`'s affair.
 """
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -32,6 +31,7 @@ from pydantic import (
 from scenes import images, opencv_calibration
 from scenes.calibration import Calibration
 from scenes.errors import FileError, nearest
+from scenes.foreign_text import parse_toml
 from scenes.frozen import Frozen
 from scenes.patterns import Axis, Bits, Frame, gray_frames
 from scenes.rig import Resolution
@@ -165,8 +165,8 @@ class Capture(Frozen):
         """Read a manifest; paths in it are resolved against its folder. Raises `FileError`, naming key and cause."""
         source = Path(path)
         try:
-            tree = tomllib.loads(source.read_text("utf-8"))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            tree = parse_toml(source.read_text("utf-8"))
+        except (OSError, ValueError) as error:
             raise FileError(f"manifest '{source}' cannot be read: {error}") from error
         try:
             capture = cls.model_validate(tree)

@@ -20,6 +20,7 @@ import OpenEXR
 from numpy.typing import NDArray
 
 from scenes.errors import FileError
+from scenes.foreign_text import parse_json
 from scenes.replace_file import replacing
 
 VERSION = 1
@@ -119,8 +120,8 @@ def load(
             ) from error
     try:
         text = header.get(ATTRIBUTE)
-        meta = json.loads(text) if isinstance(text, str) else None
-    except json.JSONDecodeError as error:
+        meta = parse_json(text) if isinstance(text, str) else None
+    except ValueError as error:
         raise FileError(f"'{source}': its fringebench header is damaged: {error}") from error
     if meta is not None and not isinstance(meta, dict):
         raise FileError(f"'{source}': its fringebench header is no JSON object")

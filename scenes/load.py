@@ -1,6 +1,5 @@
 """Scenes from TOML and back: shipped names, files, overrides, JSON schema."""
 
-import tomllib
 from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path
@@ -11,6 +10,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from scenes.errors import FileError, SceneError, nearest
+from scenes.foreign_text import parse_toml
 from scenes.replace_file import replacing
 from scenes.scene import Scene
 
@@ -60,8 +60,8 @@ def parse(
 ) -> Scene:
     """A scene from TOML text; mesh paths are resolved against `folder`. Raises `SceneError`."""
     try:
-        tree = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        tree = parse_toml(text)
+    except ValueError as error:
         raise SceneError(f"{where}: not valid TOML: {error}") from error
     for key, value in (overrides or {}).items():
         _set(tree, key, value)

@@ -5,7 +5,6 @@ a pixel. And a calibration has no world, only the first camera's frame (y down, 
 same x, y up and z towards the camera, and z = 0 lies `distance_mm` in front of it: height grows towards the camera.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,9 @@ from pydantic import Field, PositiveFloat, ValidationError
 from scenes.calibration import Calibration
 from scenes.emission import PinholeProjector
 from scenes.errors import FileError, nearest
+from scenes.foreign_text import parse_json
 from scenes.frozen import Frozen
+from scenes.replace_file import replacing
 from scenes.rig import Coefficients, Extrinsics, Pinhole, Resolution
 
 # What other programs call each part, first device then second; compared without case, spaces, dots and underscores.
@@ -46,6 +47,8 @@ NAMES: dict[str, tuple[str, ...]] = {
     "rotation": ("R", "rotation", "rotation_matrix", "stereo_R", "R12", "cam_proj_rmat", "rmat"),
     "translation": ("T", "t", "translation", "translation_vector", "stereo_T", "T12", "cam_proj_tvec", "tvec"),
 }  # fmt: skip
+# Numbers in the longest part of a rig, and room to spare.
+LONGEST = 64
 REQUIRED = ("first_matrix", "second_matrix", "rotation", "translation")
 WIDTHS = {
     "first_size": ("image_width", "image_height"),
@@ -206,7 +209,7 @@ class Pair:
                 f"{self.where}: the {name} device's principal point ({cx:.1f}, {cy:.1f}) lies far outside its "
                 f"{size[0]} x {size[1]} pixels: the calibration belongs to another size"
             )
-        if not 0.5 < fx / fy < 2.0:
+        if not 0.5 * fy < fx < 2.0 * fy:
             raise FileError(
                 f"{self.where}: the {name} device's focal lengths {fx:.1f} and {fy:.1f} px differ by more than a "
                 "factor of two: is this its intrinsic matrix?"
@@ -216,21 +219,26 @@ class Pair:
 
 def _nodes(path: Path) -> dict[str, Any]:
     """Top-level entries of a file: arrays and numbers."""
-    if not path.is_file():
-        raise FileError(f"calibration '{path}' does not exist: check the path")
+    try:
+        text = path.read_text("utf-8")
+    except FileNotFoundError:
+        raise FileError(f"calibration '{path}' does not exist: check the path") from None
+    except (OSError, ValueError) as error:
+        raise FileError(f"calibration '{path}' cannot be read: {error}") from error
     if path.suffix.lower() == ".json":
         try:
-            tree = json.loads(path.read_text("utf-8"))
-        except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-            raise FileError(f"calibration '{path}' cannot be read: {error}") from error
+            tree = parse_json(text)
+        except ValueError as error:
+            raise FileError(f"calibration '{path}' is not valid JSON: {error}") from error
         if not isinstance(tree, dict):
             raise FileError(f"calibration '{path}' is no JSON object")
         return {key: _from_json(value) for key, value in tree.items()}
     try:
-        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+        # as text: OpenCV opens no file whose name is not in its own encoding
+        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         root = storage.root()
         return {key: _from_node(root.getNode(key)) for key in root.keys()}  # noqa: SIM118
-    except (cv2.error, SystemError) as error:
+    except (cv2.error, SystemError, UnicodeError) as error:
         raise FileError(
             f"calibration '{path}' is no OpenCV file (YAML, XML or JSON as cv::FileStorage writes): "
             f"{str(error).splitlines()[0]}"
@@ -239,20 +247,36 @@ def _nodes(path: Path) -> dict[str, Any]:
 
 def _from_json(value: Any) -> Any:
     if isinstance(value, dict) and "data" in value:
-        shape = (int(value["rows"]), int(value["cols"])) if "rows" in value else (-1,)
-        return np.asarray(value["data"], dtype=np.float64).reshape(shape)
+        return _matrix(value["data"], value.get("rows"), value.get("cols"))
     return value
 
 
 def _from_node(node: Any) -> Any:
     if node.isMap():
-        matrix = node.mat() if "data" in node.keys() else None  # noqa: SIM118
-        return None if matrix is None else np.asarray(matrix, dtype=np.float64)
+        # not node.mat(): OpenCV 5.0 writes beyond its matrix, and the process aborts, where rows, cols and data differ
+        data, rows, columns = (node.getNode(name) for name in ("data", "rows", "cols"))
+        if not data.isSeq():
+            return None
+        # a vector (opencv-nd-matrix) has neither
+        shape = (None, None) if rows.empty() else (rows.real(), columns.real())
+        return _matrix(_from_node(data), *shape)
     if node.isSeq():
+        # corner lists and the like: no part of a rig is that long, and reading them is slow
+        if node.size() > LONGEST:
+            return None
         return [_from_node(node.at(i)) for i in range(node.size())]
     if node.isInt() or node.isReal():
         return node.real()
     return node.string() if node.isString() else None
+
+
+def _matrix(data: Any, rows: Any, columns: Any) -> NDArray[np.float64] | None:
+    """A stored matrix, flat where it does not say its shape; None where it is none."""
+    try:
+        flat = np.asarray(data, dtype=np.float64).ravel()
+        return flat if rows is None else flat.reshape(int(rows), int(columns))
+    except (TypeError, ValueError, OverflowError):
+        return None
 
 
 def _parts(nodes: Mapping[str, Any], own: Mapping[str, str], where: str) -> dict[str, Any]:
@@ -302,7 +326,7 @@ def _intrinsics(parts: Mapping[str, Any], which: str, where: str) -> Intrinsics:
 
 
 def _coefficients(value: Any, which: str, where: str) -> Coefficients:
-    terms = np.zeros(5) if value is None else np.asarray(value, dtype=np.float64).ravel()
+    terms = np.zeros(5) if value is None else _numbers(value, f"{which}_distortion", where).ravel()
     if np.any(terms[5:]):
         raise FileError(
             f"{where}: {which}_distortion has {terms.size} terms (rational, thin-prism or tilted model): "
@@ -313,24 +337,66 @@ def _coefficients(value: Any, which: str, where: str) -> Coefficients:
 
 
 def _rotation(value: Any, where: str) -> NDArray[np.float64]:
-    array = np.asarray(value, dtype=np.float64)
+    array = _numbers(value, "rotation", where)
     if array.size == 3:
         return np.asarray(cv2.Rodrigues(array.reshape(3))[0], dtype=np.float64)
     matrix = _shaped(value, (3, 3), "rotation", where)
-    off = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
-    if off > 1e-4 or np.linalg.det(matrix) < 0:
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
+        determinant = float(np.linalg.det(matrix))
+    if not (off <= 1e-4 and determinant > 0):
         raise FileError(
-            f"{where}: rotation is no rotation (R R^T is off the identity by {off:.3g}, determinant "
-            f"{np.linalg.det(matrix):.3g})"
+            f"{where}: rotation is no rotation (R R^T is off the identity by {off:.3g}, determinant {determinant:.3g})"
         )
     return matrix
 
 
 def _shaped(value: Any, shape: Sequence[int], part: str, where: str) -> NDArray[np.float64]:
+    array = _numbers(value, part, where)
+    if array.size != np.prod(shape):
+        raise FileError(
+            f"{where}: {part} has not the shape {tuple(shape)}: it has {array.size} numbers"
+        )
+    return array.reshape(shape)
+
+
+def _numbers(value: Any, part: str, where: str) -> NDArray[np.float64]:
     try:
-        array = np.asarray(value, dtype=np.float64).reshape(shape)
-    except (TypeError, ValueError):
-        raise FileError(f"{where}: {part} has not the shape {tuple(shape)}") from None
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise FileError(f"{where}: {part} is no list of numbers") from None
+    if value is None:
+        raise FileError(f"{where}: {part} is no list of numbers")
     if not np.isfinite(array).all():
         raise FileError(f"{where}: {part} has values that are NaN or infinite")
     return array
+
+
+def write(path: str | Path, calibration: Calibration, projector: int = 0) -> None:
+    """Write camera and one projector as an OpenCV file (by suffix YAML, XML or JSON) that `Source` reads.
+
+    Raises `FileError` for a telecentric device, which OpenCV has no model for, and for a file that cannot be written.
+    """
+    camera, light = calibration.camera, calibration.projectors[projector]
+    suffix = Path(path).suffix.lower()
+    if suffix not in (".yml", ".yaml", ".xml", ".json"):
+        raise FileError(f"cannot write '{path}': OpenCV files end in .yml, .yaml, .xml or .json")
+    if not (isinstance(camera, Pinhole) and isinstance(light, Pinhole)):
+        raise FileError(
+            f"cannot write '{path}': OpenCV has no model of a telecentric device; use pinholes"
+        )
+    eye, lamp = camera.projection(), light.projection()
+    parts: dict[str, Any] = {}
+    for name, device in (("cam", eye), ("proj", lamp)):
+        parts[f"{name}_size"] = np.array([device.width, device.height], dtype=np.float64)
+        parts[f"{name}_K"] = np.array(
+            [[device.fx, 0.0, device.cx - 0.5], [0.0, device.fy, device.cy - 0.5], [0.0, 0.0, 1.0]]
+        )
+        parts[f"{name}_kc"] = np.array(device.distortion)
+    parts["R"] = lamp.R @ eye.R.T
+    parts["T"] = lamp.t - parts["R"] @ eye.t
+    with replacing(path) as beside:
+        storage = cv2.FileStorage(str(beside), cv2.FILE_STORAGE_WRITE)
+        for name, value in parts.items():
+            storage.write(name, value)
+        storage.release()

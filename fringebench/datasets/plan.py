@@ -8,6 +8,7 @@ import tomli_w
 from pydantic import Field, ValidationError, model_validator
 
 from scenes.errors import DatasetError, SceneError
+from scenes.foreign_text import parse_toml
 from scenes.frozen import Frozen
 from scenes.load import dumps, parse
 from scenes.scene import Scene
@@ -60,8 +61,8 @@ class Plan(Frozen):
     def loads(cls, text: str, where: str) -> Self:
         """The plan of a ``dataset.toml``; `DatasetError` for anything else."""
         try:
-            return cls.model_validate(tomllib.loads(text))
-        except (tomllib.TOMLDecodeError, ValidationError) as error:
+            return cls.model_validate(parse_toml(text))
+        except ValueError as error:
             told = _told(error) if isinstance(error, ValidationError) else error
             raise DatasetError(f"'{where}' is no plan of a data set: {told}") from None
 
