@@ -1,6 +1,6 @@
 """Scenes from TOML and back: shipped names, files, overrides, JSON schema."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from scenes.errors import FileError, SceneError, nearest
 from scenes.foreign_text import parse_toml
 from scenes.replace_file import replacing
 from scenes.scene import Scene
+from scenes.toml_lines import line_of
 
 Overrides = Mapping[str, Any]
 
@@ -78,7 +79,10 @@ def parse(
         details = error.errors()
         # A list whose items failed is also reported as too short: only the innermost cause helps.
         inner = [d for d in details if not any(_encloses(d["loc"], e["loc"]) for e in details)]
-        raise SceneError("\n".join(f"{where}: {_message(d, tree)}" for d in inner)) from None
+        given = [key.split(".") for key in overrides or {}]
+        raise SceneError(
+            "\n".join(f"{where}{_line(text, d, tree, given)}: {_message(d, tree)}" for d in inner)
+        ) from None
 
 
 def dumps(scene: Scene) -> str:
@@ -152,12 +156,28 @@ def _message(detail: ErrorDetails, tree: dict[str, Any]) -> str:
     return f"{location}: {message}{shown}"
 
 
+def _line(
+    text: str, detail: ErrorDetails, tree: dict[str, Any], given: Iterable[Sequence[str]]
+) -> str:
+    """``:12``, as editors and terminals follow it; nothing where an override gave the value."""
+    location = _in_tree(detail["loc"], tree)
+    parts = [str(part) for part in location]
+    if any(parts[: len(key)] == list(key) for key in given):
+        return ""
+    line = line_of(text, location)
+    return "" if line is None else f":{line}"
+
+
 def _encloses(outer: tuple[int | str, ...], inner: tuple[int | str, ...]) -> bool:
     return len(outer) < len(inner) and inner[: len(outer)] == outer
 
 
 def _written(location: tuple[int | str, ...], tree: Any) -> str:
     """A location as the user wrote it: pydantic adds the names of chosen union branches, which the TOML lacks."""
+    return ".".join(map(str, _in_tree(location, tree))) or "scene"
+
+
+def _in_tree(location: tuple[int | str, ...], tree: Any) -> tuple[int | str, ...]:
     parts = []
     for position, part in enumerate(location):
         if isinstance(tree, list):
@@ -165,10 +185,10 @@ def _written(location: tuple[int | str, ...], tree: Any) -> str:
         else:
             inside = isinstance(tree, dict) and part in tree
         if inside or position == len(location) - 1:
-            parts.append(str(part))
+            parts.append(part)
         if inside:
             tree = tree[part]
-    return ".".join(parts) or "scene"
+    return tuple(parts)
 
 
 def _known_keys(location: tuple[int | str, ...]) -> Iterator[str]:

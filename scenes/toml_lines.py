@@ -1,0 +1,73 @@
+"""On which line of a TOML text a key stands: `tomllib` does not say."""
+
+import tomllib
+from collections.abc import Iterator
+from typing import Any
+
+Location = tuple[str | int, ...]
+# A statement is parsed again with each line it takes: longer ones are not worth the time.
+LONGEST = 200
+
+
+def line_of(text: str, location: Location) -> int | None:
+    """Line, counted from 1, of a key in valid TOML, else of the innermost table around it; None if none is there.
+
+    >>> line_of("[camera]\\nfx_px = 1.0\\n[[objects]]\\nlabel = 'a'", ("objects", 0, "label"))
+    4
+    """
+    lines = _lines(text)
+    found = (lines.get(location[:length]) for length in range(len(location), 0, -1))
+    return next((line for line in found if line is not None), None)
+
+
+def _lines(text: str) -> dict[Location, int]:
+    """First line of every key and table."""
+    lines: dict[Location, int] = {}
+    counts: dict[Location, int] = {}
+    table: Location = ()
+    for number, is_header, tree in _statements(text):
+        if not is_header:
+            for location in _locations(tree, table):
+                lines.setdefault(location, number)
+            continue
+        table = ()
+        node: Any = tree
+        while isinstance(node, dict) and node:
+            ((name, node),) = node.items()
+            table = (*table, name)
+            lines.setdefault(table, number)
+            if isinstance(node, list):  # [[name]]: one more of them
+                counts[table] = counts.get(table, -1) + 1
+            if table in counts:
+                table = (*table, counts[table])
+                lines.setdefault(table, number)
+    return lines
+
+
+def _statements(text: str) -> Iterator[tuple[int, bool, dict[str, Any]]]:
+    """First line, whether it is a table's header, and value of each statement: as many lines as it takes to parse."""
+    start, collected = 1, ""
+    for number, line in enumerate(text.splitlines(keepends=True), 1):
+        collected += line
+        try:
+            tree = tomllib.loads(collected)
+        except (tomllib.TOMLDecodeError, RecursionError):
+            if number - start >= LONGEST:
+                return
+            continue
+        yield start, collected.lstrip().startswith("["), tree
+        start, collected = number + 1, ""
+
+
+def _locations(tree: Any, at: Location) -> Iterator[Location]:
+    if at:
+        yield at
+    items = (
+        tree.items()
+        if isinstance(tree, dict)
+        else enumerate(tree)
+        if isinstance(tree, list)
+        else ()
+    )
+    for key, value in items:
+        yield from _locations(value, (*at, key))

@@ -1,0 +1,107 @@
+"""An error in a scene file names the line the key stands on."""
+
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import scenes
+from scenes.errors import SceneError
+from scenes.toml_lines import line_of
+
+TRICKY = '''\
+# a comment with [table] and key = 1
+title = """
+[camera]
+fx_px = 1
+"""
+camera.lens = { focus_mm = 3.0, rings = [
+  1,
+  2,
+] }
+"quoted key" = 1
+
+[[objects]]
+label = "a"
+[objects.shape]
+kind = "box"
+[[objects]]
+label = "b"
+[objects.shape]
+kind = "cap"
+[[objects.shape.holes]]
+radius_mm = 1.0
+'''
+
+
+@pytest.mark.parametrize(
+    ("location", "line"),
+    [
+        (("title",), 2),
+        (("camera",), 6),
+        (("camera", "lens", "focus_mm"), 6),
+        (("camera", "lens", "rings", 1), 6),
+        (("camera", "fx_px"), 6),
+        (("quoted key",), 10),
+        (("objects",), 12),
+        (("objects", 0), 12),
+        (("objects", 0, "shape"), 14),
+        (("objects", 1, "label"), 17),
+        (("objects", 1, "shape", "kind"), 19),
+        (("objects", 1, "shape", "holes", 0, "radius_mm"), 21),
+        (("objects", 1, "material"), 16),
+        (("nothing",), None),
+    ],
+)
+def test_a_key_is_looked_for_on_another_line(
+    location: tuple[str | int, ...], line: int | None
+) -> None:
+    assert line_of(TRICKY, location) == line
+
+
+def _leaves(tree: Any, at: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    if isinstance(tree, dict):
+        for key, value in tree.items():
+            yield from _leaves(value, (*at, key))
+    elif isinstance(tree, list) and tree and isinstance(tree[0], dict):
+        for index, value in enumerate(tree):
+            yield from _leaves(value, (*at, index))
+    else:
+        yield at
+
+
+@pytest.mark.parametrize("name", scenes.shipped())
+def test_a_shipped_scenes_key_is_found_where_it_is_not(name: str) -> None:
+    text = scenes.source(name)
+    lines = text.splitlines()
+    for location in _leaves(tomllib.loads(text)):
+        line = line_of(text, location)
+        assert line is not None
+        assert str(location[-1]) in lines[line - 1]
+
+
+def test_messages_name_no_line_or_that_of_a_value_that_was_overridden(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    text = scenes.source("bench").replace("steps = 4", "steps = 2")
+    file.write_text(text.replace('label = "ink"', 'labl = "ink"'))
+    steps = text.splitlines().index("steps = 2") + 1
+    label = next(i for i, t in enumerate(text.splitlines(), 1) if t == 'label = "ink"')
+    with pytest.raises(SceneError) as raised:
+        scenes.load(file)
+    said = str(raised.value).splitlines()
+    assert any(t.startswith(f"{file}:{steps}: patterns.steps") for t in said)
+    assert any(t.startswith(f"{file}:{label}: unknown key 'objects.3.labl'") for t in said)
+    with pytest.raises(SceneError, match=r"mine\.toml: patterns\.steps"):
+        scenes.load(file, {"patterns.steps": 1, "objects.3": scenes_object()})
+
+
+def scenes_object() -> dict[str, Any]:
+    """The bench's ink, whole."""
+    found: dict[str, Any] = tomllib.loads(scenes.source("bench"))["objects"][3]
+    return found
+
+
+def test_a_long_statement_takes_forever() -> None:
+    assert line_of("a = [\n" + "1,\n" * 100_000 + "]\n[camera]\n", ("camera",)) is None
