@@ -45,18 +45,31 @@ def _lines(text: str) -> dict[Location, int]:
 
 
 def _statements(text: str) -> Iterator[tuple[int, bool, dict[str, Any]]]:
-    """First line, whether it is a table's header, and value of each statement: as many lines as it takes to parse."""
-    start, collected = 1, ""
+    """Line, whether it is a table's header, and value of each statement: as many lines as it takes to parse.
+
+    A list over several lines comes again with each line that ends an item.
+    """
+    start, collected, inside = 1, "", False
     for number, line in enumerate(text.splitlines(keepends=True), 1):
         collected += line
-        try:
-            tree = tomllib.loads(collected)
-        except (tomllib.TOMLDecodeError, RecursionError):
-            if number - start >= LONGEST:
-                return
-            continue
-        yield start, collected.lstrip().startswith("["), tree
-        start, collected = number + 1, ""
+        tree = _parsed(collected)
+        if tree is not None:
+            yield number if inside else start, collected.lstrip().startswith("["), tree
+            start, collected, inside = number + 1, "", False
+        elif number - start >= LONGEST:
+            return
+        else:
+            tree = _parsed(collected + "]")
+            if tree is not None:
+                inside = True
+                yield number, False, tree
+
+
+def _parsed(text: str) -> dict[str, Any] | None:
+    try:
+        return tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError):
+        return None
 
 
 def _locations(tree: Any, at: Location) -> Iterator[Location]:

@@ -22,6 +22,10 @@ camera.lens = { focus_mm = 3.0, rings = [
   2,
 ] }
 "quoted key" = 1
+parts = [ # one a line
+  { a = 1 },
+
+  { a = 2 } ]
 
 [[objects]]
 label = "a"
@@ -45,13 +49,16 @@ radius_mm = 1.0
         (("camera", "lens", "rings", 1), 6),
         (("camera", "fx_px"), 6),
         (("quoted key",), 10),
-        (("objects",), 12),
-        (("objects", 0), 12),
-        (("objects", 0, "shape"), 14),
-        (("objects", 1, "label"), 17),
-        (("objects", 1, "shape", "kind"), 19),
-        (("objects", 1, "shape", "holes", 0, "radius_mm"), 21),
-        (("objects", 1, "material"), 16),
+        (("parts",), 11),
+        (("parts", 0, "a"), 12),
+        (("parts", 1, "a"), 14),
+        (("objects",), 16),
+        (("objects", 0), 16),
+        (("objects", 0, "shape"), 18),
+        (("objects", 1, "label"), 21),
+        (("objects", 1, "shape", "kind"), 23),
+        (("objects", 1, "shape", "holes", 0, "radius_mm"), 25),
+        (("objects", 1, "material"), 20),
         (("nothing",), None),
     ],
 )
