@@ -1,0 +1,147 @@
+"""Data sets: two workers against one confined to one core, samples a minute, and memory over many samples.
+
+    python benchmarks/dataset.py                    # 640 x 480, scene `spi`
+    python benchmarks/dataset.py --memory 200       # resident memory of a worker over 200 small samples instead
+
+Exit status 1 if two workers are not 1.6 times as fast.
+
+Runs alternate, one worker and then two, because other programs load a machine unevenly. Start-up (imports, first
+kernels) is left out: the clock runs from the moment each worker has made its first sample. Beside the rates stands the
+processor time a sample takes, which other programs hardly change: where it is the same for one worker and for two, only
+the number of cores limits the ratio.
+"""
+
+import argparse
+import json
+import os
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import scenes
+from fringebench.datasets.build import build
+from fringebench.datasets.plan import Plan
+
+
+TARGET = 1.6
+
+
+class Clock:
+    """Notes when each sample was done, and what the workers used until then."""
+
+    def __init__(self) -> None:
+        self.at_s: list[float] = []
+        self.cpu_s: list[float] = []
+        self.resident_mb: list[float] = []
+        self._used: dict[int, float] = {}
+
+    def __call__(self, done: int, bad: int, total: int) -> None:
+        """A sample more is done."""
+        if bad:
+            raise SystemExit(f"{bad} samples failed")
+        if done:
+            usage = {pid: _usage(pid) for pid in _children()}
+            # A worker that has no more to do is gone, what it used is not.
+            self._used |= {pid: cpu for pid, (cpu, _) in usage.items()}
+            self.at_s.append(time.perf_counter())
+            self.cpu_s.append(sum(self._used.values()))
+            self.resident_mb.append(max(resident for _, resident in usage.values()))
+
+
+def run(scene: scenes.Scene, count: int, workers: int, core: int | None) -> Clock:
+    """Make a data set in a temporary folder, its workers confined to one core if one is given."""
+    cores = os.sched_getaffinity(0)
+    clock = Clock()
+    try:
+        if core is not None:
+            os.sched_setaffinity(0, {core})
+        with tempfile.TemporaryDirectory() as folder:
+            build(Plan.of(scene, count), Path(folder) / "set", workers=workers, progress=clock)
+    finally:
+        os.sched_setaffinity(0, cores)
+    return clock
+
+
+def speed(scene: scenes.Scene, count: int, rounds: int) -> dict[str, Any]:
+    """Rates of one worker on one core and of two, round by round."""
+    rates: dict[int, list[float]] = {1: [], 2: []}
+    cpu: dict[int, list[float]] = {1: [], 2: []}
+    cores = sorted(os.sched_getaffinity(0))
+    for round_ in range(rounds):
+        for workers in (1, 2):
+            core = cores[round_ % len(cores)] if workers == 1 else None
+            clock = run(scene, count * workers, workers, core)
+            # At the w-th sample each of w workers has made its first.
+            made = len(clock.at_s) - workers
+            rates[workers].append(60.0 * made / (clock.at_s[-1] - clock.at_s[workers - 1]))
+            cpu[workers].append((clock.cpu_s[-1] - clock.cpu_s[workers - 1]) / made)
+            print(
+                f"  {workers} worker(s): {rates[workers][-1]:6.1f} samples/min, {cpu[workers][-1]:.2f} s of processor each"
+            )
+    ratios = np.divide(rates[2], rates[1])
+    return {
+        "samples_per_minute": {str(w): float(np.median(rates[w])) for w in rates},
+        "processor_s_per_sample": {str(w): float(np.median(cpu[w])) for w in cpu},
+        "ratio_median": float(np.median(ratios)),
+        "ratios": ratios.tolist(),
+        "load": os.getloadavg()[0],
+    }
+
+
+def memory(scene: scenes.Scene, count: int) -> dict[str, Any]:
+    """Resident memory of one worker, and its slope from the tenth sample on."""
+    resident = np.array(run(scene, count, 1, None).resident_mb)
+    steady = resident[10:]
+    slope = np.polyfit(np.arange(len(steady)), steady, 1)[0]
+    print(
+        f"  resident MB at samples 1, 10, 50, 100, 150, 200: {[round(resident[i - 1]) for i in (1, 10, 50, 100, 150, 200) if i <= count]}"
+    )
+    return {
+        "resident_mb_at_10": float(resident[9]),
+        "resident_mb_at_end": float(resident[-1]),
+        "slope_mb_per_100_samples": float(100 * slope),
+    }
+
+
+def _children() -> list[int]:
+    return [
+        int(pid)
+        for task in Path("/proc/self/task").iterdir()
+        for pid in (task / "children").read_text().split()
+    ]
+
+
+def _usage(pid: int) -> tuple[float, float]:
+    """Processor seconds and resident MB of a process."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    ticks = int(fields[11]) + int(fields[12])
+    return ticks / os.sysconf("SC_CLK_TCK"), pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def main() -> int:
+    """Print a table and JSON."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument(
+        "--samples", type=int, default=6, help="for each worker and round, beyond its first"
+    )
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--memory", type=int, metavar="SAMPLES", help="measure memory instead")
+    given = parser.parse_args()
+    if given.memory:
+        scene = scenes.load("spi", {"camera.resolution": [160, 120], "sampling.samples": 4})
+        result = memory(scene, given.memory)
+    else:
+        scene = scenes.load("spi", {"camera.resolution": [640, 480]})
+        result = speed(scene, given.samples + 1, given.rounds)
+    print(json.dumps(result, indent=2))
+    return int(result.get("ratio_median", TARGET) < TARGET)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
