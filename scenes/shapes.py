@@ -158,6 +158,42 @@ class Cap(Frozen):
         return mesh
 
 
+class Tiles(Frozen):
+    """The cells of a flat chart at z = 0 that bear one mark, facing up: a checkerboard's black squares, say.
+
+    Two objects with the same `chart` and different marks make a printed board; their edges meet exactly.
+    """
+
+    kind: Literal["tiles"] = "tiles"
+    chart: Annotated[tuple[str, ...], Field(min_length=1)]
+    """Rows of cells, one character a cell; the first row is the farthest in y, and the chart is centred on the origin."""
+    mark: Annotated[str, Field(min_length=1, max_length=1)]
+    """The character of the cells to keep."""
+    cell_mm: PositiveFloat
+
+    @model_validator(mode="after")
+    def _rectangular(self) -> Self:
+        if len({len(row) for row in self.chart}) != 1 or not self.chart[0]:
+            raise ValueError("chart: every row needs the same number of cells, at least one")
+        if not any(self.mark in row for row in self.chart):
+            raise ValueError(f"chart: no cell bears the mark '{self.mark}'")
+        return self
+
+    def mesh(self) -> trimesh.Trimesh:
+        """The cells as two triangles each, over the vertices of the whole chart."""
+        cells = np.array([list(row) for row in self.chart]) == self.mark
+        rows, columns = cells.shape
+        y, x = np.mgrid[rows / 2 : -rows / 2 - 0.5 : -1, -columns / 2 : columns / 2 + 0.5]
+        vertices = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3) * self.cell_mm
+        row, column = np.nonzero(cells)
+        a = row * (columns + 1) + column
+        b, c, d = a + 1, a + columns + 1, a + columns + 2
+        faces = np.concatenate([np.stack([a, c, d], axis=-1), np.stack([a, d, b], axis=-1)])
+        mesh = trimesh.Trimesh(vertices, faces, process=False)
+        mesh.remove_unreferenced_vertices()
+        return mesh
+
+
 class MeshFile(Frozen):
     """A user's mesh: PLY, STL, OBJ or whatever trimesh reads."""
 
@@ -169,22 +205,24 @@ class MeshFile(Frozen):
 
     def mesh(self) -> trimesh.Trimesh:
         """The file's triangles in mm."""
-        if not self.path.is_file():
-            raise MeshError(f"mesh '{self.path}' does not exist: give a PLY, STL or OBJ file")
         try:
+            if not self.path.is_file():
+                raise MeshError(f"mesh '{self.path}' does not exist: give a PLY, STL or OBJ file")
             mesh = trimesh.load_mesh(self.path, process=False)
+        except MeshError:
+            raise
         except Exception as error:
             raise MeshError(
                 f"mesh '{self.path}' cannot be read ({error}): give a PLY, STL or OBJ file"
             ) from error
         if not isinstance(mesh, trimesh.Trimesh):
             raise MeshError(f"mesh '{self.path}' holds no triangles: export it as a triangle mesh")
-        if self.scale != 1.0:
-            mesh.apply_scale(self.scale)
-        return mesh
+        # not apply_scale, which touches normals: nothing is known yet of what the file holds
+        with np.errstate(over="ignore"):
+            return trimesh.Trimesh(mesh.vertices * self.scale, mesh.faces, process=False)
 
 
-Shape = Annotated[Plate | Disk | Box | Cap | Grains | MeshFile, Field(discriminator="kind")]
+Shape = Annotated[Plate | Disk | Box | Cap | Tiles | Grains | MeshFile, Field(discriminator="kind")]
 
 
 def _rectangle(x: float, y: float, size_mm: Size) -> shapely.Polygon:
