@@ -42,6 +42,10 @@ class Grid:
     best: Sequence[int] = ()
     """Rows to be printed bold, counted from 0."""
 
+    def is_text(self, column: int) -> bool:
+        """Whether no cell of a column has a digit: then it is aligned like words."""
+        return not any(letter.isdigit() for row in self.rows for letter in row[column])
+
 
 @dataclass(frozen=True)
 class Paragraph:

@@ -13,7 +13,7 @@ from fringebench.options import AsJson, SceneName, Seed, Settings, ShowProgress
 from fringebench.overrides import parse_overrides
 from fringebench.progress import Mode, Steps
 
-# Columns of text when nobody says how many there are.
+# Columns the tables need: a narrower terminal wraps them, which loses no figure.
 WIDTH = 120
 
 
@@ -29,7 +29,9 @@ def compare(
     ] = 5,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", help="Also write compare.json and figures here."),
+        typer.Option(
+            "-o", "--output", help="Also write compare.json, figures and report.html here."
+        ),
     ] = None,
     settings: Settings = [],  # noqa: B006
     seed: Seed = 0,
@@ -48,13 +50,19 @@ def compare(
 
     if output:
         prepare(output)  # a folder that cannot be is told before the work, not after
-    result = run(loaded, names, repeats, seed, Steps(Console(stderr=True), progress))
+    steps = Steps(Console(stderr=True), progress)
+    result = run(loaded, names, repeats, seed, steps)
     written = write(result, output) if output else []
+    if output:
+        from fringebench.compare_report import compare_report
+
+        written.append(output / "report.html")
+        compare_report(result, scenes.dumps(loaded), steps.seconds).write(written[-1])
     if as_json:
         sys.stdout.write(json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n")
         return
     console = Console(highlight=False)
-    if not console.is_terminal:
+    if console.width < WIDTH:
         console = Console(highlight=False, width=WIDTH)
     for table in tables(result):
         console.print(table)

@@ -129,6 +129,9 @@ def _build(
             f"fringebench: interrupted; the samples made so far are kept in '{where}': the same command goes on\n"
         )
         raise typer.Exit(INTERRUPTED) from None
+    from fringebench.datasets.report import write_report
+
+    report = write_report(where)
     split_counts = {
         name: sum(r.split == name and r.status == "made" for r in built.records)
         for name in plan.splits
@@ -138,6 +141,7 @@ def _build(
     shown = ", ".join(f"{n} {name}" for name, n in split_counts.items())
     pace = f", {rate:.1f} samples/min" if rate else ""
     text = [f"{len(built.records)} samples in {where} ({shown}); {built.made} made now{pace}"]
+    text += [f"see {report}"]
     text += [f"sample {r['index']} could not be made: {r['reason']}" for r in lost[:10]]
     if len(lost) > 10:
         text.append(f"and {len(lost) - 10} more: see status and reason in manifest.parquet")

@@ -1,5 +1,6 @@
 """Commands that judge decoders: regress, export, budget."""
 
+import json
 import re
 import sys
 from pathlib import Path
@@ -11,6 +12,11 @@ from rich.console import Console
 from fringebench.options import AsJson, Fusion, SceneName, Seed, Settings, ShowProgress
 from fringebench.progress import Mode, Steps
 from scenes.errors import FringebenchError
+from scenes.replace_file import replacing
+
+Folder = Annotated[
+    Path | None, typer.Option("-o", "--output", help="Also write JSON and report.html here.")
+]
 
 
 def regress(
@@ -34,6 +40,7 @@ def regress(
     timeout: Annotated[
         float, typer.Option(help="Seconds a command may take for one stack.")
     ] = 600.0,
+    output: Folder = None,
     progress: ShowProgress = Mode.AUTO,
     as_json: AsJson = False,
 ) -> None:
@@ -41,14 +48,21 @@ def regress(
     from fringebench.regress import regress as run
     from fringebench.regress import told
 
+    steps = Steps(Console(stderr=True), progress)
+    folder = _prepared(output)
     result = run(
         decoder,
         baseline,
         update=update,
         seeds=parse_seeds(seeds),
         timeout_s=timeout,
-        steps=Steps(Console(stderr=True), progress),
+        steps=steps,
     )
+    if folder:
+        from fringebench.regress_report import regress_report
+
+        _write(result.to_dict(), folder / "regress.json")
+        regress_report(result, steps.seconds).write(folder / "report.html")
     if as_json:
         _print_json(result.to_dict())
     else:
@@ -95,6 +109,7 @@ def budget(
     saturation: Annotated[
         str, typer.Option(help="reject, or ignore: what a decoder without a saturation mask does.")
     ] = "reject",
+    output: Folder = None,
     progress: ShowProgress = Mode.AUTO,
     as_json: AsJson = False,
 ) -> None:
@@ -103,14 +118,16 @@ def budget(
     from fringebench.budget import budget as run
     from fringebench.overrides import parse_overrides
 
-    found = run(
-        scenes.load(scene, parse_overrides(settings)),
-        seed,
-        repeats,
-        Steps(Console(stderr=True), progress),
-        fusion=fusion,
-        saturation=saturation,
-    )
+    loaded = scenes.load(scene, parse_overrides(settings))
+    folder = _prepared(output)
+    steps = Steps(Console(stderr=True), progress)
+    found = run(loaded, seed, repeats, steps, fusion=fusion, saturation=saturation)
+    if folder:
+        from fringebench.budget_report import budget_report
+
+        _write(found.to_dict(), folder / "budget.json")
+        page = budget_report(found, scenes.dumps(loaded), seed, steps.seconds, loaded.description)
+        page.write(folder / "report.html")
     if as_json:
         _print_json(found.to_dict())
         return
@@ -140,9 +157,19 @@ def parse_seeds(text: str) -> tuple[int, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def _print_json(value: object) -> None:
-    import json
+def _prepared(output: Path | None) -> Path | None:
+    """A folder that cannot be is told before the work, not after."""
+    from fringebench.run import prepare
 
+    return None if output is None else prepare(output)
+
+
+def _write(value: object, path: Path) -> None:
+    with replacing(path) as beside:
+        beside.write_text(json.dumps(value, indent=2, allow_nan=False) + "\n", "utf-8")
+
+
+def _print_json(value: object) -> None:
     sys.stdout.write(json.dumps(value, indent=2, allow_nan=False) + "\n")
 
 

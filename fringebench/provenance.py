@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 
 from evaluation.report import Grid, Listing, Section
 
+STEPS_LISTED = 8
 PACKAGES = ("fringebench", "mitsuba", "drjit", "numpy", "OpenEXR")
 
 
@@ -23,7 +24,9 @@ def provenance(toml: str, seed: int | None, seconds: Mapping[str, float]) -> Sec
             f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
         ],
     ]
-    if seconds:
+    if len(seconds) > STEPS_LISTED:
+        rows.append(["time", f"{sum(seconds.values()):.1f} s in {len(seconds)} steps"])
+    elif seconds:
         rows.append(["time", ", ".join(f"{name} {spent:.1f} s" for name, spent in seconds.items())])
     scene = [Listing("The scene as TOML", toml)] if toml else []
     return Section("Provenance", [Grid(["", "value"], rows, words=True), *scene])

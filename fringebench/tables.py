@@ -132,4 +132,5 @@ def doctor_table(diagnosis: Diagnosis) -> Table:
 
 
 def _number(value: float | None, scale: float, digits: int) -> str:
-    return "-" if value is None else f"{value * scale:.{digits}f}"
+    # Adding 0.0 makes a rounded -0.0 plain.
+    return "-" if value is None else f"{round(value * scale, digits) + 0.0:.{digits}f}"
