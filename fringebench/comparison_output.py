@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from evaluation.comparison import Comparison, Entry, Estimate, Region
@@ -16,13 +17,13 @@ from scenes.replace_file import replacing
 COLUMNS = (
     "equal",
     "frames",
-    "light ms",
-    "covered %",
-    "bias µm",
-    "RMS µm",
-    "outliers %",
-    "efficiency",
-    "decode ms",
+    "light\nms",
+    "covered\n%",
+    "bias\nµm",
+    "RMS\nµm",
+    "outliers\n%",
+    "efficiency\n",
+    "decode\nms",
 )
 
 
@@ -35,6 +36,8 @@ def _table(result: Comparison, label: str) -> Table:
     table = Table(
         title=f"{label}: {result.repeats} repeats, half widths of 95 % intervals; = best RMS, or tied with it",
         title_justify="left",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
     )
     table.add_column("strategy", no_wrap=True)
     for name in COLUMNS:
