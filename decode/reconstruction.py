@@ -8,7 +8,7 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import ValidationError
+from pydantic import PositiveFloat, TypeAdapter, ValidationError
 
 from decode.validity import Reason
 from scenes import exr
@@ -197,9 +197,11 @@ class Reconstruction:
                 axis: AxisPhase(
                     float(period),
                     channels[f"{axis}.wrapped_rad"],
-                    channels[f"{axis}.order"].astype(np.int32),
+                    _orders(channels[f"{axis}.order"]),
                 )
-                for axis, period in meta["period_px"].items()
+                for axis, period in TypeAdapter(dict[Axis, PositiveFloat])
+                .validate_python(meta["period_px"])
+                .items()
             }
             calibration = meta["calibration"]
             return cls(
@@ -207,16 +209,31 @@ class Reconstruction:
                 sigma_mm=channels["sigma_mm"],
                 modulation_dn=channels["modulation_dn"],
                 offset_dn=channels["offset_dn"],
-                reason=channels["reason"].astype(np.uint8),
-                exposure=channels["exposure"].astype(np.uint8),
-                axis=meta["axis"],
+                reason=_reasons(channels["reason"]),
+                exposure=exr.whole(channels["exposure"], np.uint8),
+                axis=TypeAdapter(Axis).validate_python(meta["axis"]),
                 phases=phases,
                 calibration=None
                 if calibration is None
                 else Calibration.model_validate(calibration),
-                settings=meta["settings"],
+                settings=dict(meta["settings"]),
             )
         except (KeyError, TypeError, ValueError, AttributeError, ValidationError) as error:
             raise FileError(
                 f"'{path}': its reconstruction header or channels are damaged: {error}"
             ) from error
+
+
+def _orders(plane: Image) -> NDArray[np.int32]:
+    if not np.isfinite(plane).all():
+        raise ValueError("a fringe order is NaN or infinite")
+    with np.errstate(invalid="ignore"):
+        # int32's largest number is no float32, and may stand where nothing was decoded
+        return plane.astype(np.int32)
+
+
+def _reasons(plane: NDArray[np.float16]) -> NDArray[np.uint8]:
+    codes: NDArray[np.uint8] = exr.whole(plane, np.uint8)
+    if codes.max() >= len(Reason):
+        raise ValueError(f"reason {codes.max()} has no meaning: they go to {len(Reason) - 1}")
+    return codes

@@ -108,7 +108,7 @@ class Transport:
                 light[0],
                 light[1],
                 channels["ambient"],
-                channels["label"].astype(np.uint16),
+                exr.whole(channels["label"], np.uint16),
                 tuple(str(label) for label in meta["labels"]),
                 bases,
                 parse(str(meta["scene"]), where=str(path)),

@@ -29,6 +29,10 @@ class BackendError(FringebenchError):
     """No usable LLVM or CUDA on this machine."""
 
 
+class TooLargeError(FringebenchError):
+    """A request that this machine's memory cannot hold."""
+
+
 class RenderError(FringebenchError):
     """A request that light transport or the sensor cannot serve."""
 

@@ -17,16 +17,19 @@ from typing import Any
 
 import numpy as np
 import OpenEXR
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from scenes.errors import FileError
 from scenes.foreign_text import parse_json
+from scenes.memory import room_for
 from scenes.replace_file import replacing
 
 VERSION = 1
 ATTRIBUTE = "fringebench"
 # Whole numbers up to here are exact in a half float (11 bits of significand).
 HALF_EXACT = 2048
+# Bytes of a half: the header alone does not give away a channel's type.
+SMALLEST_SAMPLE = 2
 
 # Two threads that redirect the process's stderr at once would leave it redirected.
 _ALONE = threading.Lock()
@@ -74,7 +77,7 @@ def read(path: str | Path, kind: str) -> tuple[dict[str, NDArray[Any]], dict[str
     version.
     """
     source = Path(path)
-    if not source.is_file():
+    if not is_file(source):
         raise FileError(f"'{source}' does not exist: give the path of a {kind} EXR file")
     channels, meta = load(source)
     if meta is None:
@@ -90,13 +93,16 @@ def read(path: str | Path, kind: str) -> tuple[dict[str, NDArray[Any]], dict[str
             f"'{source}' has format version {meta.get('version')}, this program reads {VERSION}: "
             "write it again with this version, or read it with the one that wrote it"
         )
+    shapes = {plane.shape for plane in channels.values()}
+    if len(shapes) != 1 or len(next(iter(shapes))) != 2:
+        raise FileError(f"'{source}' is damaged: its channels have shapes {sorted(shapes)}")
     return channels, meta
 
 
 def kind_of(path: str | Path) -> str:
     """Which of the project's formats a file is; raises `FileError` as `read` does."""
     source = Path(path)
-    if not source.is_file():
+    if not is_file(source):
         raise FileError(f"'{source}' does not exist")
     _, meta = load(source, header_only=True)
     if meta is None:
@@ -108,16 +114,14 @@ def load(
     source: Path, header_only: bool = False
 ) -> tuple[dict[str, NDArray[Any]], dict[str, Any] | None]:
     """Channels of any OpenEXR file, and its meta if it is one of this project's. Raises `FileError` if it is no EXR."""
-    with _library() as said:
-        try:
-            file = OpenEXR.File(str(source), separate_channels=True, header_only=header_only)
-            header = file.header()
-            channels = {} if header_only else file.channels()
-            planes = {name: channel.pixels for name, channel in channels.items()}
-        except (RuntimeError, ValueError, TypeError, MemoryError) as error:
-            raise FileError(
-                f"'{source}' is truncated, damaged or no OpenEXR file: {_first_line(said, error)}"
-            ) from error
+    header, planes = _opened(source, header_only=True)
+    if not header_only:
+        with room_for(
+            _claimed_bytes(header),
+            f"'{source}', by what its header says,",
+            "read it on a larger machine; if it should be small, it is damaged",
+        ):
+            header, planes = _opened(source, header_only=False)
     try:
         text = header.get(ATTRIBUTE)
         meta = parse_json(text) if isinstance(text, str) else None
@@ -126,6 +130,45 @@ def load(
     if meta is not None and not isinstance(meta, dict):
         raise FileError(f"'{source}': its fringebench header is no JSON object")
     return planes, meta
+
+
+def whole(plane: NDArray[Any], dtype: DTypeLike) -> NDArray[Any]:
+    """A channel as whole numbers of that type; `ValueError` if it holds others."""
+    with np.errstate(invalid="ignore"):
+        numbers = plane.astype(dtype)
+    if not np.array_equal(numbers, plane):
+        raise ValueError(f"a channel of whole numbers holds some that are no {np.dtype(dtype)}")
+    return numbers
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is such a file; no name is too long or too strange to ask."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def _opened(source: Path, header_only: bool) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    with _library() as said:
+        try:
+            file = OpenEXR.File(str(source), separate_channels=True, header_only=header_only)
+            channels = {} if header_only else file.channels()
+            return file.header(), {name: channel.pixels for name, channel in channels.items()}
+        except (RuntimeError, ValueError, TypeError) as error:
+            raise FileError(
+                f"'{source}' is truncated, damaged or no OpenEXR file: {_first_line(said, error)}"
+            ) from error
+
+
+def _claimed_bytes(header: Mapping[str, Any]) -> int:
+    """Memory that the image takes if the header is right; 0 if it does not say."""
+    try:
+        low, high = header["dataWindow"]
+        width, height = (max(int(b) - int(a) + 1, 0) for a, b in zip(low, high, strict=True))
+        return width * height * len(header["channels"]) * SMALLEST_SAMPLE
+    except (KeyError, TypeError, ValueError):
+        return 0
 
 
 def counts(frames: NDArray[Any]) -> NDArray[Any]:

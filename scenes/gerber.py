@@ -5,7 +5,8 @@ Round shapes become polygons of equal area; a nanometre is the finest detail kep
 
 import re
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
 
@@ -26,6 +27,8 @@ ARC_MM = 0.002
 # Ends of an outline's pieces this close are one point: CAD tools round to 1 um at the coarsest.
 SNAP_MM = 0.002
 SMALLEST_PAD_MM2 = 1e-4
+# No board is larger; a nanometre is lost beyond.
+FARTHEST_MM = 1e5
 
 
 def layer_files(folder: Path, side: Side, given: Mapping[Role, Path]) -> dict[Role, Path]:
@@ -58,7 +61,13 @@ def read_pads(path: Path, mirrored: bool = False) -> tuple[Pad, ...]:
 
     Flashes that overlap are one opening. Raises `FileError` for a file that is no Gerber file or holds no opening.
     """
-    pieces = [_normal(obj, mirrored) for obj in _objects(path)]
+    with _drawn(path):
+        return _pads([_normal(obj, mirrored) for obj in _objects(path)], path)
+
+
+def _pads(
+    pieces: Sequence[tuple[tuple[Area, bool], tuple[float, float], bool]], path: Path
+) -> tuple[Pad, ...]:
     flashes: list[tuple[tuple[float, float], shapely.Polygon]] = []
     drawn: list[tuple[Area, bool]] = []
     for (shape, dark), place, flash in pieces:
@@ -87,12 +96,10 @@ def read_pads(path: Path, mirrored: bool = False) -> tuple[Pad, ...]:
 
 def read_area(path: Path, box: Box, mirrored: bool = False) -> Area:
     """What a layer paints dark within a box; `FileError` for a file that is no Gerber file."""
-    window = shapely.box(*box)
-    painted: list[tuple[Area, bool]] = []
-    for obj in _objects(path):
-        if _near(obj, box, mirrored):
-            painted.append(_normal(obj, mirrored)[0])
-    return _painted(painted).intersection(window)
+    with _drawn(path):
+        near = [obj for obj in _objects(path) if _near(obj, box, mirrored)]
+        painted = _painted([_normal(obj, mirrored)[0] for obj in near])
+        return painted.intersection(shapely.box(*box))
 
 
 def _near(obj: Any, box: Box, mirrored: bool) -> bool:
@@ -105,12 +112,17 @@ def _near(obj: Any, box: Box, mirrored: bool) -> bool:
 
 def read_outline(path: Path, mirrored: bool = False) -> Area:
     """The laminate inside an outline layer's lines, without its cut-outs; `FileError` if the lines enclose nothing."""
-    lines = [
-        line
-        for obj in _objects(path)
-        for primitive in _primitives(obj)
-        for line in _centre_lines(primitive)
-    ]
+    with _drawn(path):
+        lines = [
+            line
+            for obj in _objects(path)
+            for primitive in _primitives(obj)
+            for line in _centre_lines(primitive)
+        ]
+        return _enclosed(lines, mirrored, path)
+
+
+def _enclosed(lines: Sequence[shapely.LineString], mirrored: bool, path: Path) -> Area:
     if mirrored:
         lines = [shapely.transform(line, _mirror) for line in lines]
     tidy = shapely.set_precision(shapely.MultiLineString(lines), SNAP_MM)
@@ -130,6 +142,36 @@ def read_outline(path: Path, mirrored: bool = False) -> Area:
     return shapely.union_all(board)
 
 
+@contextmanager
+def _drawn(path: Path) -> Iterator[None]:
+    """What cannot be drawn, of damaged files mostly, as `FileError`."""
+    try:
+        # what is not finite `_check_reach` has refused
+        with np.errstate(all="ignore"):
+            yield
+    except (shapely.errors.ShapelyError, ValueError, TypeError, OverflowError) as error:
+        raise FileError(
+            f"'{path}' draws a shape that cannot be: {error}; export the layer again"
+        ) from error
+
+
+def _check_reach(primitive: Any) -> None:
+    """`ValueError` for a length that no board has: GEOS crashes the process on an infinite one."""
+    for value in _lengths(vars(primitive).values()):
+        if not abs(value) <= FARTHEST_MM:
+            raise ValueError(
+                f"{type(primitive).__name__} has a length of {value:g} mm, where up to {FARTHEST_MM:g} mm can be"
+            )
+
+
+def _lengths(values: Iterable[Any]) -> Iterator[float]:
+    for value in values:
+        if isinstance(value, (list, tuple)):
+            yield from _lengths(value)
+        elif isinstance(value, (int, float)):
+            yield float(value)
+
+
 def _objects(path: Path) -> Sequence[Any]:
     try:
         from gerbonara import GerberFile
@@ -137,12 +179,14 @@ def _objects(path: Path) -> Sequence[Any]:
         raise SceneError(
             'reading Gerber files needs the gerbonara library: pip install "fringebench[board]"'
         ) from error
-    if not path.is_file():
-        raise FileError(f"Gerber file '{path}' does not exist: check the path")
     try:
+        if not path.is_file():
+            raise FileError(f"Gerber file '{path}' does not exist: check the path")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             objects: Sequence[Any] = GerberFile.open(path).objects
+    except FileError:
+        raise
     except Exception as error:
         raise FileError(
             f"'{path}' cannot be read as a Gerber file ({type(error).__name__}: {error})"
@@ -154,9 +198,12 @@ def _objects(path: Path) -> Sequence[Any]:
 
 def _primitives(obj: Any) -> list[Any]:
     try:
-        return list(obj.to_primitives("mm"))
+        primitives = list(obj.to_primitives("mm"))
     except Exception as error:
         raise FileError(f"a Gerber object cannot be used ({error}): {str(obj)[:120]}") from error
+    for primitive in primitives:
+        _check_reach(primitive)
+    return primitives
 
 
 def _normal(obj: Any, mirrored: bool) -> tuple[tuple[Area, bool], tuple[float, float], bool]:

@@ -11,6 +11,9 @@ from scenes.errors import MeshError
 from scenes.materials import Material, material
 from scenes.scene import Object, Scene
 
+# Float32, in which light is traced, resolves 1 mm here.
+FARTHEST_MM = 1e7
+
 
 @dataclass(frozen=True)
 class Part:
@@ -74,17 +77,41 @@ def _placed(item: Object) -> trimesh.Trimesh:
     mesh = item.shape.mesh()
     _check(mesh, item.label)
     mesh.apply_transform(item.placement())
+    _check_reach(mesh, item.label)
     return mesh
 
 
 def _check(mesh: trimesh.Trimesh, label: str) -> None:
     if not len(mesh.faces):
         raise MeshError(f"the mesh of '{label}' has no triangles: give it at least one")
+    if mesh.vertices.shape[1:] != (3,) or mesh.faces.shape[1:] != (3,):
+        raise MeshError(
+            f"the mesh of '{label}' has vertices {mesh.vertices.shape} and faces {mesh.faces.shape}: expected three "
+            "coordinates and three corners each; export it again"
+        )
+    count = len(mesh.vertices)
+    lost = ((mesh.faces < 0) | (mesh.faces >= count)).any(axis=1)
+    if lost.any():
+        face = int(np.flatnonzero(lost)[0])
+        raise MeshError(
+            f"the mesh of '{label}' has {int(lost.sum())} triangles with corners that do not exist (first: triangle "
+            f"{face}, {mesh.faces[face].tolist()} of {count} vertices): the file is damaged, export it again"
+        )
     bad = ~np.isfinite(mesh.vertices).all(axis=1)
     if bad.any():
         raise MeshError(
             f"the mesh of '{label}' has {int(bad.sum())} vertices that are NaN or infinite "
             f"(first: vertex {int(np.flatnonzero(bad)[0])}): repair or remove them"
         )
+    _check_reach(mesh, label)
     if not np.any(mesh.area_faces > 0):
         raise MeshError(f"every triangle of '{label}' has zero area: check its scale and vertices")
+
+
+def _check_reach(mesh: trimesh.Trimesh, label: str) -> None:
+    farthest = float(np.abs(mesh.vertices).max())
+    if farthest > FARTHEST_MM:
+        raise MeshError(
+            f"the mesh of '{label}' reaches to {farthest:.3g} mm: keep it within {FARTHEST_MM:.0e} mm, beyond which "
+            "the renderer's numbers are coarser than a millimetre; check its scale, unit and position"
+        )

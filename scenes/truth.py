@@ -114,15 +114,15 @@ class Truth:
             return cls(
                 np.stack([channels[f"xyz.{axis}"] for axis in "XYZ"], axis=-1),
                 np.stack([channels[f"N.{axis}"] for axis in "XYZ"], axis=-1),
-                channels["label"].astype(np.uint16),
+                exr.whole(channels["label"], np.uint16),
                 tuple(str(label) for label in meta["labels"]),
                 np.stack([channels[f"P{p}.lit"] > 0.5 for p in projectors]),
                 np.stack([channels[f"P{p}.column"] for p in projectors]),
                 np.stack([channels[f"P{p}.row"] for p in projectors]),
                 np.stack([channels[f"P{p}.direct"] for p in projectors]),
                 str(meta["scene"]),
-                channels["pad"].astype(np.uint32) if "pad" in channels else None,
-                channels["material"].astype(np.uint16) if "material" in channels else None,
+                exr.whole(channels["pad"], np.uint32) if "pad" in channels else None,
+                exr.whole(channels["material"], np.uint16) if "material" in channels else None,
                 tuple(str(name) for name in meta.get("materials", ())),
             )
         except (KeyError, TypeError, ValueError) as error:
