@@ -120,6 +120,9 @@ class Skip(Frozen):
         return []
 
 
+# Errors of a manifest that are told at once.
+MOST_TOLD = 10
+
 Shown = Annotated[Fringes | GrayFrames | Uniform | Skip, Field(discriminator="kind")]
 
 
@@ -171,9 +174,8 @@ class Capture(Frozen):
         try:
             capture = cls.model_validate(tree)
         except ValidationError as error:
-            raise FileError(
-                "\n".join(f"manifest '{source}': {_told(e)}" for e in error.errors())
-            ) from None
+            told = [f"manifest '{source}': {_told(e)}" for e in error.errors()[:MOST_TOLD]]
+            raise FileError("\n".join(told)) from None
         base = source.resolve().parent
         placed: dict[str, Any] = {"folder": base / capture.folder}
         if capture.calibration:

@@ -22,6 +22,7 @@ from numpy.typing import DTypeLike, NDArray
 from scenes.errors import FileError
 from scenes.foreign_text import parse_json
 from scenes.memory import room_for
+from scenes.paths import is_file
 from scenes.replace_file import replacing
 
 VERSION = 1
@@ -139,14 +140,6 @@ def whole(plane: NDArray[Any], dtype: DTypeLike) -> NDArray[Any]:
     if not np.array_equal(numbers, plane):
         raise ValueError(f"a channel of whole numbers holds some that are no {np.dtype(dtype)}")
     return numbers
-
-
-def is_file(path: Path) -> bool:
-    """Whether there is such a file; no name is too long or too strange to ask."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
 
 
 def _opened(source: Path, header_only: bool) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:

@@ -17,6 +17,7 @@ from scipy.sparse.csgraph import connected_components
 
 from scenes.errors import FileError, SceneError
 from scenes.layout import Area, Box, Pad, disk, moved, rectangle, rounded
+from scenes.paths import is_file
 
 Role = Literal["paste", "mask", "copper", "outline"]
 ROLES: tuple[Role, ...] = ("paste", "mask", "copper", "outline")
@@ -179,14 +180,12 @@ def _objects(path: Path) -> Sequence[Any]:
         raise SceneError(
             'reading Gerber files needs the gerbonara library: pip install "fringebench[board]"'
         ) from error
+    if not is_file(path):
+        raise FileError(f"Gerber file '{path}' does not exist: check the path")
     try:
-        if not path.is_file():
-            raise FileError(f"Gerber file '{path}' does not exist: check the path")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             objects: Sequence[Any] = GerberFile.open(path).objects
-    except FileError:
-        raise
     except Exception as error:
         raise FileError(
             f"'{path}' cannot be read as a Gerber file ({type(error).__name__}: {error})"

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.errors import FileError
+from scenes.paths import is_file
 
 ImageChannel = Literal["grey", "red", "green", "blue", "luma"]
 SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg")
@@ -28,7 +29,12 @@ def find(folder: Path, names: Sequence[str]) -> list[Path]:
     for name in names:
         # a literal name comes first: camera software likes brackets, which a glob would read as a set
         exact = folder / name
-        matches = [exact] if exact.is_file() else sorted(folder.glob(name), key=_natural)
+        try:
+            matches = [exact] if is_file(exact) else sorted(folder.glob(name), key=_natural)
+        except (OSError, ValueError, NotImplementedError) as error:
+            raise FileError(
+                f"files has {name!r}: {error}; give a name or a pattern relative to the manifest"
+            ) from error
         matches = [path for path in matches if path.suffix.lower() in SUFFIXES]
         if not matches:
             raise FileError(

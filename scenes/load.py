@@ -11,11 +11,15 @@ from pydantic_core import ErrorDetails
 
 from scenes.errors import FileError, SceneError, nearest
 from scenes.foreign_text import parse_toml
+from scenes.paths import is_file
 from scenes.replace_file import replacing
 from scenes.scene import Scene
 from scenes.toml_lines import line_of
 
 Overrides = Mapping[str, Any]
+
+# Errors of a scene that are told at once.
+MOST_TOLD = 10
 
 
 def shipped() -> tuple[str, ...]:
@@ -29,7 +33,7 @@ def source(name: str | Path) -> str:
     path = Path(name)
     if str(name) in shipped():
         return (resources.files("scenes") / "shipped" / f"{name}.toml").read_text("utf-8")
-    if not path.is_file():
+    if not is_file(path):
         if path.suffix == ".toml" or path.parent != Path():
             raise FileError(f"scene file '{path}' does not exist: check the path")
         raise SceneError(
@@ -66,7 +70,8 @@ def parse(
         raise SceneError(f"{where}: not valid TOML: {error}") from error
     for key, value in (overrides or {}).items():
         _set(tree, key, value)
-    for item in tree.get("objects", []) if folder else []:
+    items = tree.get("objects") if folder else None
+    for item in items if isinstance(items, list) else []:
         shape = item.get("shape", {}) if isinstance(item, dict) else {}
         if isinstance(shape, dict) and isinstance(shape.get("path"), str):
             shape["path"] = str(folder / shape["path"])
@@ -78,11 +83,15 @@ def parse(
     except ValidationError as error:
         details = error.errors()
         # A list whose items failed is also reported as too short: only the innermost cause helps.
-        inner = [d for d in details if not any(_encloses(d["loc"], e["loc"]) for e in details)]
+        outer = {d["loc"][:depth] for d in details for depth in range(len(d["loc"]))}
+        inner = [d for d in details if d["loc"] not in outer]
         given = [key.split(".") for key in overrides or {}]
-        raise SceneError(
-            "\n".join(f"{where}{_line(text, d, tree, given)}: {_message(d, tree)}" for d in inner)
-        ) from None
+        told = [
+            f"{where}{_line(text, d, tree, given)}: {_message(d, tree)}" for d in inner[:MOST_TOLD]
+        ]
+        if len(inner) > MOST_TOLD:
+            told.append(f"{where}: and {len(inner) - MOST_TOLD} more errors")
+        raise SceneError("\n".join(told)) from None
 
 
 def dumps(scene: Scene) -> str:
@@ -166,10 +175,6 @@ def _line(
         return ""
     line = line_of(text, location)
     return "" if line is None else f":{line}"
-
-
-def _encloses(outer: tuple[int | str, ...], inner: tuple[int | str, ...]) -> bool:
-    return len(outer) < len(inner) and inner[: len(outer)] == outer
 
 
 def _written(location: tuple[int | str, ...], tree: Any) -> str:

@@ -16,6 +16,7 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 from scenes.errors import MeshError
 from scenes.frozen import Frozen
 from scenes.grains import Grains
+from scenes.paths import is_file
 
 Size = tuple[PositiveFloat, PositiveFloat]
 Segments = Annotated[int, Field(ge=8, le=4096)]
@@ -205,12 +206,10 @@ class MeshFile(Frozen):
 
     def mesh(self) -> trimesh.Trimesh:
         """The file's triangles in mm."""
+        if not is_file(self.path):
+            raise MeshError(f"mesh '{self.path}' does not exist: give a PLY, STL or OBJ file")
         try:
-            if not self.path.is_file():
-                raise MeshError(f"mesh '{self.path}' does not exist: give a PLY, STL or OBJ file")
             mesh = trimesh.load_mesh(self.path, process=False)
-        except MeshError:
-            raise
         except Exception as error:
             raise MeshError(
                 f"mesh '{self.path}' cannot be read ({error}): give a PLY, STL or OBJ file"
