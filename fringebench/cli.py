@@ -21,6 +21,7 @@ from fringebench.options import AsJson, Fusion, SceneName, Seed, Settings, ShowP
 from fringebench.overrides import parse_overrides
 from fringebench.progress import Mode, Steps
 from scenes.errors import FringebenchError
+from scenes.paths import as_file_name
 
 # What a shell reports for a command that Ctrl-C ended.
 INTERRUPTED = 130
@@ -64,7 +65,7 @@ def run(
 ) -> None:
     """The whole way: trace, expose, decode, score; writes every file and prints the score table."""
     loaded = scenes.load(scene, parse_overrides(settings))
-    folder = output or Path(f"fringebench-{loaded.name}")
+    folder = output or Path(f"fringebench-{as_file_name(loaded.name)}")
 
     from fringebench.run import run as run_scene
 
@@ -278,6 +279,11 @@ def main() -> None:
         sys.exit(INTERRUPTED)
     except FringebenchError as error:
         sys.stderr.write(f"fringebench: {error}\n")
+        sys.exit(2)
+    except MemoryError:
+        sys.stderr.write(
+            "fringebench: out of memory; use fewer pixels, frames or exposures, or a larger machine\n"
+        )
         sys.exit(2)
     except BrokenPipeError:
         # The reader of our output went away (| head): nothing is wrong, and nothing more can be said.

@@ -1,8 +1,10 @@
 """Linear light becomes raw frames: any patterns, sensor and exposures, without tracing again."""
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +16,7 @@ from scenes.basis import RANK_TOLERANCE, Basis, basis
 from scenes.calibration import Calibration
 from scenes.errors import RenderError, nearest
 from scenes.load import dumps
+from scenes.memory import room_for
 from scenes.patterns import Patterns
 from scenes.scene import AutoExposure, Exposures, Sampling
 from scenes.sensor import Sensor
@@ -46,7 +49,8 @@ def expose(
 
     The stack's `scene` is the TOML with these replacements; its `exposure_ms` are the times taken.
 
-    Raises `RenderError` for patterns outside the span, and for exposure times that cannot be.
+    Raises `RenderError` for patterns outside the span, and for exposure times that cannot be, `TooLargeError` for more
+    frames than memory holds.
 
     >>> import scenes, render
     >>> transport = render.trace(scenes.load("step", {"camera.resolution": [64, 48]}), samples=2)
@@ -74,17 +78,48 @@ def expose(
     times_ms = _times_ms(transport, shown, scene.exposures, scene.sensor)
     light = transport.direct if direct_only else transport.total
     height, width = transport.ambient.shape
-    frames = np.empty((len(times_ms), len(shown), height * width), scene.sensor.dtype)
-    chip = fixed_pattern(scene.sensor, seed, height * width) if noise else None
+    shape = (len(times_ms), len(shown), height * width)
+    with room_for(
+        math.prod(shape) * np.dtype(scene.sensor.dtype).itemsize,
+        f"{shape[0]} exposures of {shape[1]} frames of {width} x {height} pixels",
+        "take fewer exposures at a time, or a smaller camera.resolution",
+    ):
+        frames = _frames(
+            transport, light, shown, times_ms, scene.sensor, seed if noise else None, progress
+        )
+    return Stack(
+        frames.reshape(*shape[:2], height, width),
+        scene.frames,
+        times_ms,
+        scene.sensor,
+        Calibration.of(scene),
+        dumps(scene),
+        int(seed) if noise else None,
+    )
+
+
+def _frames(
+    transport: Transport,
+    light: NDArray[np.float32],
+    shown: Sequence[tuple[int, Floats]],
+    times_ms: Sequence[float],
+    sensor: Sensor,
+    seed: int | None,
+    progress: Callable[[float], None] | None,
+) -> NDArray[Any]:
+    """Digital numbers (exposure, frame, pixel); without a seed, without noise."""
+    count = transport.ambient.size
+    frames = np.empty((len(times_ms), len(shown), count), sensor.dtype)
+    chip = None if seed is None else fixed_pattern(sensor, seed, count)
 
     def take(frame: int) -> None:
-        streams = [Noise.of(seed, e, frame) if noise else None for e in range(len(times_ms))]
-        for start in range(0, height * width, BLOCK):
+        streams = [None if seed is None else Noise.of(seed, e, frame) for e in range(len(times_ms))]
+        for start in range(0, count, BLOCK):
             pixels = slice(start, start + BLOCK)
             radiance = _radiance(transport, light, *shown[frame], pixels)
             for e, (time_ms, stream) in enumerate(zip(times_ms, streams, strict=True)):
                 frames[e, frame, pixels] = digital_numbers(
-                    radiance, time_ms, scene.sensor, stream, chip[pixels] if chip else None
+                    radiance, time_ms, sensor, stream, chip[pixels] if chip else None
                 )
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -97,15 +132,7 @@ def expose(
             # An interrupt need not wait for frames that nobody will see.
             pool.shutdown(cancel_futures=True)
             raise
-    return Stack(
-        frames.reshape(len(times_ms), len(shown), height, width),
-        scene.frames,
-        times_ms,
-        scene.sensor,
-        Calibration.of(scene),
-        dumps(scene),
-        int(seed) if noise else None,
-    )
+    return frames
 
 
 def _exposures(given: Exposures | Sequence[float] | None) -> Exposures | None:

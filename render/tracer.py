@@ -19,8 +19,9 @@ from render.mitsuba_scene import geometry
 from render.optics import Optics, optics
 from render.transport import Transport
 from render.variant import dr, mi, use
-from scenes.basis import basis
+from scenes.basis import Basis, basis
 from scenes.errors import RenderError
+from scenes.memory import room_for
 from scenes.meshes import parts
 from scenes.scene import Scene
 
@@ -50,7 +51,8 @@ def trace(
     about their centres, 0 to points: to see what their width costs. `progress` is called every second or so with the
     share that is done.
 
-    Raises `RenderError` for impossible `samples`, `depth` or `footprint`.
+    Raises `RenderError` for impossible `samples`, `depth` or `footprint`, `TooLargeError` for more pixels and channels
+    than memory holds.
     """
     samples = scene.sampling.samples if samples is None else samples
     depth = scene.sampling.depth if depth is None else depth
@@ -61,6 +63,24 @@ def trace(
         raise RenderError(f"footprint = {footprint}: needs a number from 0 to 1")
     use()
     bases = tuple(basis(scene.patterns, p, p.resolution) for p in scene.projectors)
+    width, height = scene.camera.resolution
+    images = 2 * len(bases) * max(len(b.channels) for b in bases) + 1
+    with room_for(
+        4 * images * width * height,
+        f"tracing {width} x {height} pixels of {images} channels (2 x projectors x channels + 1)",
+        "lower camera.resolution, or trace fewer periods or axes at a time",
+    ):
+        return _traced(scene, bases, (samples, depth, footprint), seed, progress)
+
+
+def _traced(
+    scene: Scene,
+    bases: tuple[Basis, ...],
+    paths: tuple[int, int, float],
+    seed: int,
+    progress: Callable[[float], None] | None,
+) -> Transport:
+    samples, depth, footprint = paths
     surfaces = parts(scene)
     mi_scene = mi.load_dict(geometry(surfaces))
     camera = optics(scene.camera)
