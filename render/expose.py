@@ -37,6 +37,7 @@ def expose(
     direct_only: bool = False,
     noise: bool = True,
     progress: Callable[[float], None] | None = None,
+    chip_seed: int | None = None,
 ) -> Stack:
     """Take the pictures: every exposure of every frame of every projector, in the order of `Scene.frames`.
 
@@ -44,8 +45,9 @@ def expose(
     traced ones; any number of steps, amplitude or subset of the traced periods does for a linear projector.
     `direct_only` leaves interreflections out but keeps the exposure times of all light, so that nothing else changes.
     Without `noise` each sample is its mean, and pixels are all alike; clipping and rounding stay. `seed` is the
-    noise's; the same seed gives the same stack, whatever the number of threads. `progress` is called with the share
-    that is done, frame by frame.
+    noise's; the same seed gives the same stack, whatever the number of threads. `chip_seed` is the sensor's own, its fixed
+    pattern's (None: `seed`): pictures of one chip share it. `progress` is called with the share that is done, frame by
+    frame.
 
     The stack's `scene` is the TOML with these replacements; its `exposure_ms` are the times taken.
 
@@ -57,8 +59,10 @@ def expose(
     >>> render.expose(transport, exposures=[1.0, 4.0]).frames.shape
     (2, 12, 48, 64)
     """
-    if seed < 0:
-        raise RenderError(f"seed = {seed}: needs a whole number from 0 up")
+    chip_seed = seed if chip_seed is None else chip_seed
+    for name, value in (("seed", seed), ("chip_seed", chip_seed)):
+        if value < 0:
+            raise RenderError(f"{name} = {value}: needs a whole number from 0 up")
     scene = transport.scene
     scene = scene.model_copy(
         update={
@@ -85,7 +89,13 @@ def expose(
         "take fewer exposures at a time, or a smaller camera.resolution",
     ):
         frames = _frames(
-            transport, light, shown, times_ms, scene.sensor, seed if noise else None, progress
+            transport,
+            light,
+            shown,
+            times_ms,
+            scene.sensor,
+            (seed, chip_seed) if noise else None,
+            progress,
         )
     return Stack(
         frames.reshape(*shape[:2], height, width),
@@ -104,16 +114,16 @@ def _frames(
     shown: Sequence[tuple[int, Floats]],
     times_ms: Sequence[float],
     sensor: Sensor,
-    seed: int | None,
+    seeds: tuple[int, int] | None,
     progress: Callable[[float], None] | None,
 ) -> NDArray[Any]:
-    """Digital numbers (exposure, frame, pixel); without a seed, without noise."""
+    """Digital numbers (exposure, frame, pixel); without seeds (noise, chip), without noise."""
     count = transport.ambient.size
     frames = np.empty((len(times_ms), len(shown), count), sensor.dtype)
-    chip = None if seed is None else fixed_pattern(sensor, seed, count)
+    chip = None if seeds is None else fixed_pattern(sensor, seeds[1], count)
 
     def take(frame: int) -> None:
-        streams = [None if seed is None else Noise.of(seed, e, frame) for e in range(len(times_ms))]
+        streams = [seeds and Noise.of(seeds[0], e, frame) for e in range(len(times_ms))]
         for start in range(0, count, BLOCK):
             pixels = slice(start, start + BLOCK)
             radiance = _radiance(transport, light, *shown[frame], pixels)

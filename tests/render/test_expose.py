@@ -336,3 +336,24 @@ def test_the_stack_says_what_was_done() -> None:
     assert stack.calibration == scenes.Calibration.of(light.scene)
     assert stack.frames.shape == (1, 5, ROWS, COLUMNS)
     assert stack.frames.dtype == np.uint16
+
+
+def test_pictures_of_one_chip_share_its_pattern_and_not_their_noise() -> None:
+    light = transport()
+    sensor = Emva(prnu=0.05, dsnu_e=0.0, bits=0)
+    first, again, other = (
+        render.expose(
+            light, seed=seed, sensor=sensor, exposures=[1.0], chip_seed=chip
+        ).frames.astype(float)
+        for seed, chip in ((1, 9), (2, 9), (1, 8))
+    )
+    clean = render.expose(light, sensor=sensor, exposures=[1.0], noise=False).frames.astype(float)
+    # Where light is strong, what two pictures share is the chip's.
+    lit = clean > np.median(clean)
+    parts = [(frames / clean - 1.0)[lit] for frames in (first, again, other)]
+    assert not np.array_equal(first, again)
+    # Thousands of samples: a correlation's own standard error is below 0.02.
+    same, apart = (np.corrcoef(parts[0], part)[0, 1] for part in parts[1:])
+    assert same > apart + 0.1
+    with pytest.raises(RenderError, match="chip_seed = -1"):
+        render.expose(light, chip_seed=-1)
