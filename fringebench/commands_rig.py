@@ -1,4 +1,4 @@
-"""Commands about real rigs: twin, calibrate."""
+"""Commands about rigs: twin, calibrate, accept."""
 
 import json
 import sys
@@ -110,6 +110,44 @@ def calibrate(
     )
 
 
+def accept(
+    rig: Annotated[str, typer.Argument(help="A shipped scene's name, or a scene TOML (see twin).")],
+    limit_um: Annotated[
+        float | None,
+        typer.Option(help="Largest error permitted in any measure; exit status 1 beyond."),
+    ] = None,
+    settings: Annotated[
+        list[str], typer.Option("--set", metavar="KEY=VALUE", help="Override a key of the scene.")
+    ] = [],  # noqa: B006
+    seed: Annotated[int, typer.Option(help="Seed of light and noise.", min=0)] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Acceptance test after VDI/VDE 2634-2 and ISO 10360-13: probing error, sphere distance, flatness."""
+    import scenes
+    from fringebench.acceptance import accept as run
+    from fringebench.overrides import parse_overrides
+    from fringebench.progress import Steps
+
+    loaded = scenes.load(rig, parse_overrides(settings))
+    result = run(loaded, seed, Steps(Console(stderr=True)))
+    worst, noise = result.worst(), result.noise()
+    if as_json:
+        sys.stdout.write(json.dumps(result.to_dict(), indent=2) + "\n")
+    else:
+        table = Table("measure", "worst", "noise alone", title=f"{result.scene}, acceptance")
+        for name, value in worst.items():
+            told = f"{noise[name] * 1e3:.1f} µm" if name in noise else ""
+            table.add_row(name, f"{value * 1e3:.1f} µm", told)
+        console = Console(highlight=False)
+        console.print(table)
+        console.print(
+            f"volume diagonal {result.diagonal_mm:.3g} mm, spheres {result.sphere_mm:.3g} mm, bar {result.bar_mm:.4g} mm, plane "
+            f"{result.plane_mm[0]:.3g} x {result.plane_mm[1]:.3g} mm; {len(result.positions)} positions"
+        )
+    if limit_um is not None and max(worst.values()) * 1e3 > limit_um:
+        raise typer.Exit(1)
+
+
 def _names(given: list[str]) -> dict[str, str]:
     names = {}
     for text in given:
@@ -124,3 +162,4 @@ def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
     app.command(epilog="Example: fringebench twin procam.yml -o mine.toml --distance-mm 600")(twin)
     app.command(epilog="Example: fringebench calibrate bench --poses 20 --board charuco")(calibrate)
+    app.command(epilog="Example: fringebench accept mine.toml --limit-um 50")(accept)
