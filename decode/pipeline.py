@@ -17,17 +17,22 @@ from decode.plan import Plan
 from decode.reconstruction import AxisPhase, Reconstruction
 from decode.validity import Limits, Reason
 from scenes.errors import DecodeError
+from scenes.memory import room_for
 from scenes.patterns import Axis
 from scenes.stack import Stack
 
 # What stands outside the region of interest; NaN or 0 in the other images.
 OUTSIDE = {"reason": int(Reason.OUTSIDE_ROI), "exposure": fusion.MERGED}
 
+# Memory per pixel of what comes out, as measured; frames are read in place.
+PIXEL_BYTES = 24
+
 
 def reconstruct(stack: Stack, **choices: Any) -> Reconstruction:
     """Decode a stack into heights; the keywords are the fields of `Options`.
 
-    Raises `DecodeError`, naming the cause, when a choice is impossible for this stack or no pixel can be decoded.
+    Raises `DecodeError`, naming the cause, when a choice is impossible for this stack or no pixel can be decoded, and
+    `TooLargeError` for more pixels than memory holds.
 
     >>> rec = reconstruct(stack, fusion="max-modulation", roi=(0, 100, 0, 200))  # doctest: +SKIP
     >>> rec.height_mm.shape == stack.frames.shape[2:]  # doctest: +SKIP
@@ -49,7 +54,13 @@ def reconstruct(stack: Stack, **choices: Any) -> Reconstruction:
         plan = Plan(stack, options, projector)
         if options.height == "reference-plane":
             plan = replace(plan, reference_px=_reference_px(plan))
-        found = _Kernel(plan, device, rule).decode()
+        columns, rows = stack.resolution
+        with room_for(
+            PIXEL_BYTES * columns * rows,
+            f"decoding {columns} x {rows} pixels",
+            "decode regions with roi, one after the other",
+        ):
+            found = _Kernel(plan, device, rule).decode()
         best = found if best is None else _better(best, found)
     assert best is not None  # a stack has at least one frame, so one projector
     if best.reason.min() != Reason.OK:

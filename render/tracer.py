@@ -27,6 +27,8 @@ from scenes.scene import Scene
 
 # Numbers a tile may return at once: 64 MB of float32. Smaller tiles start more kernels, larger ones gain nothing.
 TILE_NUMBERS = 1 << 24
+# Memory per pixel while labels are found, as measured.
+LABEL_BYTES = 24
 # Between tiles progress is told and an interrupt is heard. Starting one costs some 15 ms.
 TILE_S = 1.0
 FIRST_TILE_PIXELS = 1 << 14
@@ -65,8 +67,10 @@ def trace(
     bases = tuple(basis(scene.patterns, p, p.resolution) for p in scene.projectors)
     width, height = scene.camera.resolution
     images = 2 * len(bases) * max(len(b.channels) for b in bases) + 1
+    # Beside the images a tile thrice (kernel, copies), and what finding labels takes. Dr.Jit, out of memory, crashes.
+    tile = min(TILE_NUMBERS, images * width * height)
     with room_for(
-        4 * images * width * height,
+        4 * (images * width * height + 3 * tile) + LABEL_BYTES * width * height,
         f"tracing {width} x {height} pixels of {images} channels (2 x projectors x channels + 1)",
         "lower camera.resolution, or trace fewer periods or axes at a time",
     ):

@@ -4,6 +4,7 @@ Mitsuba finds which triangle a ray meets, in float32; the point, its normal and 
 from that triangle in float64.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +19,7 @@ from render.variant import mi, use
 from scenes.errors import RenderError
 from scenes.load import dumps
 from scenes.materials import Diffuse
+from scenes.memory import room_for
 from scenes.meshes import Part, parts
 from scenes.patterns import PhaseShift
 from scenes.rig import Projection
@@ -45,12 +47,28 @@ def truth(scene: Scene, transport: Transport | None = None) -> Truth:
     `transport`, or of a small one (16 paths per pixel, white only) traced here. For a projector with gamma or
     quantised values a transport holds no white; the nearest combination of its patterns stands for it.
 
-    Raises `RenderError` for a transport of another camera or other projectors.
+    Raises `RenderError` for a transport of another camera or other projectors, `TooLargeError` for more pixels than
+    memory holds.
     """
     use()
     surface = _Surface.of(scene)
     camera = scene.camera.projection()
     projectors = [projector.projection() for projector in scene.projectors]
+    with room_for(
+        (60 + 21 * len(projectors)) * camera.width * camera.height,
+        f"the truth of {camera.width} x {camera.height} pixels",
+        "lower camera.resolution",
+    ):
+        return _truth(scene, surface, camera, projectors, transport)
+
+
+def _truth(
+    scene: Scene,
+    surface: "_Surface",
+    camera: Projection,
+    projectors: Sequence[Projection],
+    transport: Transport | None,
+) -> Truth:
     pixels = camera.pixel_centres().reshape(-1, 2)
     count, shape = len(pixels), (camera.height, camera.width)
 

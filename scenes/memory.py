@@ -14,20 +14,20 @@ GIB = 2**30
 
 @contextmanager
 def room_for(needed_bytes: int, what: str, remedy: str) -> Iterator[None]:
-    """Do something that takes at least `needed_bytes` more memory; `what` and `remedy` are for the message.
+    """Do something that takes about `needed_bytes` more memory; `what` and `remedy` are for the message.
 
     Raises `TooLargeError` before the block if that is more than there is, and for a `MemoryError` in the block.
     """
     available = available_bytes()
     if available is not None and needed_bytes > available:
         raise TooLargeError(
-            f"{what} needs at least {_told(needed_bytes)} of memory, {_told(available)} are free: {remedy}"
+            f"{what} needs about {_told(needed_bytes)} of memory, {_told(available)} are free: {remedy}"
         )
     try:
         yield
     except MemoryError as error:
         raise TooLargeError(
-            f"{what} needs at least {_told(needed_bytes)} of memory, and more than there was: {remedy}"
+            f"{what} needs about {_told(needed_bytes)} of memory, and more than there was: {remedy}"
         ) from error
 
 
