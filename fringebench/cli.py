@@ -73,15 +73,11 @@ def run(
     if as_json:
         _print_json(result.score.to_dict())
         return
-    from fringebench.tables import feature_table, score_table
+    from fringebench.tables import feature_table, fused_title, score_table
 
     console = _console()
     console.print(score_table(result.naive, _naive_title(result.stack)))
-    console.print(
-        score_table(
-            result.score, f"all {len(result.stack.exposure_ms)} exposures, fused by {fusion}"
-        )
-    )
+    console.print(score_table(result.score, fused_title(len(result.stack.exposure_ms), fusion)))
     if result.score.features:
         console.print(feature_table(result.score))
     spent = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in result.seconds.items())

@@ -11,6 +11,7 @@ from evaluation.figures import figures
 from evaluation.pictures import frames_picture, phase_figures, reason_map, scene_picture
 from evaluation.report import Block, Grid, Paragraph, Picture, Report, Section, Surface
 from fringebench.provenance import provenance
+from fringebench.tables import fused_title
 
 if TYPE_CHECKING:
     from fringebench.run import Run
@@ -91,7 +92,7 @@ def _scores(run: "Run") -> list[Block]:
         _score_grid(
             run.naive, "One exposure, saturation ignored: what a modulation mask alone lets through"
         ),
-        _score_grid(run.score, f"All {count} exposures, fused by {run.fusion}"),
+        _score_grid(run.score, _upper(fused_title(count, run.fusion))),
         Paragraph(
             "Regions are the lit pixels of each label. Errors are measured minus true height. Predicted is the decoder's "
             "own standard deviation; outliers are errors beyond five of them."
@@ -121,6 +122,10 @@ def _score_grid(score: evaluation.Score, caption: str) -> Grid:
         for label, region in score.regions.items()
     ]
     return Grid(SCORE_COLUMNS, rows, caption)
+
+
+def _upper(text: str) -> str:
+    return text[0].upper() + text[1:]
 
 
 def number(value: float | None, scale: float, digits: int) -> str:

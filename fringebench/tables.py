@@ -13,6 +13,13 @@ if TYPE_CHECKING:
     from fringebench.chapter import ChapterResult
 
 
+def fused_title(exposures: int, fusion: str) -> str:
+    """What the second score table of a run is about."""
+    if exposures == 1:
+        return "one exposure, saturated pixels rejected"
+    return f"all {exposures} exposures, fused by {fusion}"
+
+
 def score_table(score: evaluation.Score, title: str) -> Table:
     """One row per region: how much was measured, how wrong it is, how wrong it was expected to be."""
     table = Table(title=title, title_justify="left")
