@@ -14,6 +14,7 @@ import scenes
 from fringebench.commands_compare import register as register_compare
 from fringebench.commands_dataset import register as register_dataset
 from fringebench.commands_import import register as register_import
+from fringebench.commands_pads import register as register_pads
 from fringebench.commands_regress import register as register_regress
 from fringebench.commands_rig import register as register_rig
 from fringebench.commands_view import register as register_view
@@ -261,6 +262,7 @@ def doctor(as_json: AsJson = False) -> None:
 register_compare(app)
 register_regress(app)
 register_dataset(app)
+register_pads(app)
 register_import(app)
 register_rig(app)
 register_view(app)
