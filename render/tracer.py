@@ -23,7 +23,7 @@ from scenes.basis import Basis, basis
 from scenes.errors import RenderError
 from scenes.memory import room_for
 from scenes.meshes import parts
-from scenes.scene import Scene
+from scenes.scene import MOST_SAMPLES, Scene
 
 # Numbers a tile may return at once: 64 MB of float32. Smaller tiles start more kernels, larger ones gain nothing.
 TILE_NUMBERS = 1 << 24
@@ -53,14 +53,19 @@ def trace(
     about their centres, 0 to points: to see what their width costs. `progress` is called every second or so with the
     share that is done.
 
-    Raises `RenderError` for impossible `samples`, `depth` or `footprint`, `TooLargeError` for more pixels and channels
+    Raises `RenderError` for impossible `samples`, `depth`, `seed` or `footprint`, and for light beyond float32,
+    `TooLargeError` for more pixels and channels
     than memory holds.
     """
     samples = scene.sampling.samples if samples is None else samples
     depth = scene.sampling.depth if depth is None else depth
-    for name, value in (("samples", samples), ("depth", depth)):
-        if value < 1:
-            raise RenderError(f"{name} = {value}: needs at least 1")
+    for name, value, low, high in (
+        ("samples", samples, 1, MOST_SAMPLES),
+        ("depth", depth, 1, MOST_SAMPLES),
+        ("seed", seed, 0, 2**32 - 1),
+    ):
+        if not isinstance(value, (int, np.integer)) or not low <= value <= high:
+            raise RenderError(f"{name} = {value!r}: needs a whole number from {low} to {high}")
     if not 0.0 <= footprint <= 1.0:
         raise RenderError(f"footprint = {footprint}: needs a number from 0 to 1")
     use()
@@ -116,6 +121,16 @@ def _traced(
         bottom = part.stop
         if progress:
             progress(bottom / height)
+        for image in (
+            ambient,
+            *direct.reshape(-1, height, width),
+            *total.reshape(-1, height, width),
+        ):
+            if not np.isfinite(image[part]).all():
+                raise RenderError(
+                    "light is so strong or so far away that numbers of 32 bits do not hold it: bring irradiance_w_m2, "
+                    "reference_mm and ambient.radiance_w_m2_sr to what a device emits"
+                )
         faster = TILE_S / max(time.perf_counter() - start, 1e-3)
         rows = min(most, max(1, int(rows * min(faster, 4.0))))
     ids = [scene.labels.index(surface.label) + 1 for surface in surfaces]

@@ -155,8 +155,10 @@ def _message(detail: ErrorDetails, tree: dict[str, Any]) -> str:
     """One validation error in the project's words: key, value, what is allowed."""
     location = _written(detail["loc"], tree)
     if detail["type"] == "extra_forbidden":
-        unknown = str(detail["loc"][-1])
-        return f"unknown key '{location}': {nearest(unknown, _known_keys(detail['loc']))}"
+        unknown, known = str(detail["loc"][-1]), set(_known_keys(detail["loc"]))
+        if unknown in known:
+            return f"key '{location}' belongs to another kind or model than the one chosen here"
+        return f"unknown key '{location}': {nearest(unknown, known)}"
     if detail["type"] == "missing":
         return f"key '{location}' is missing: it is required"
     message = detail["msg"].removeprefix("Value error, ")

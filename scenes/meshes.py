@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 from scenes.board_meshes import Body, bodies
 from scenes.errors import MeshError
 from scenes.materials import Material, material
+from scenes.rig import FARTHEST_MM
 from scenes.scene import Object, Scene
-
-# Float32, in which light is traced, resolves 1 mm here.
-FARTHEST_MM = 1e7
 
 
 @dataclass(frozen=True)
@@ -74,7 +72,9 @@ def _part(body: Body, scene: Scene) -> Part:
 
 
 def _placed(item: Object) -> trimesh.Trimesh:
-    mesh = item.shape.mesh()
+    # what overflows is refused by the checks
+    with np.errstate(all="ignore"):
+        mesh = item.shape.mesh()
     _check(mesh, item.label)
     mesh.apply_transform(item.placement())
     _check_reach(mesh, item.label)

@@ -64,6 +64,8 @@ def flat_frames(projector: int = 0) -> list[Frame]:
 
 
 Bits = Annotated[int, Field(ge=1, le=16)]
+# A phase in float32 needs no more; no projector is a thousandth as wide.
+Period = Annotated[float, Field(gt=0.0, le=1e8)]
 
 
 class GrayBits(Frozen):
@@ -97,7 +99,7 @@ class PhaseShift(Frozen):
 
     kind: Literal["phase-shift"] = "phase-shift"
     steps: Annotated[int, Field(ge=3, le=64)] = 4
-    periods_px: Annotated[tuple[PositiveFloat, ...], Field(min_length=1)]
+    periods_px: Annotated[tuple[Period, ...], Field(min_length=1)]
     """Fringe periods in projector pixels, finest first; the finest measures, the others give the fringe order."""
     axes: Annotated[tuple[Axis, ...], Field(min_length=1, max_length=2)] = ("column",)
     amplitude: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0

@@ -24,6 +24,17 @@ Coefficients = tuple[float, float, float, float, float]
 UNDISTORT_STEPS = 8
 
 
+# Float32, in which light is traced, resolves 1 mm here.
+FARTHEST_MM = 1e7
+
+
+def require_reach(what: str, *coordinates: float) -> None:
+    """`ValueError` for a place that no device stands at: arithmetic overflows long before numbers end."""
+    farthest = max(map(abs, coordinates))
+    if farthest > FARTHEST_MM:
+        raise ValueError(f"{what} reach to {farthest:.3g}: keep them within {FARTHEST_MM:.0e} mm")
+
+
 class LookAt(Frozen):
     """A pose from where the device stands and what it looks at."""
 
@@ -36,6 +47,7 @@ class LookAt(Frozen):
 
     @model_validator(mode="after")
     def _not_degenerate(self) -> Self:
+        require_reach("origin_mm, target_mm and up", *self.origin_mm, *self.target_mm, *self.up)
         axis = np.subtract(self.target_mm, self.origin_mm)
         if np.linalg.norm(axis) < 1e-9:
             raise ValueError("origin_mm and target_mm coincide: set them apart")
@@ -62,6 +74,7 @@ class Extrinsics(Frozen):
 
     @model_validator(mode="after")
     def _is_rotation(self) -> Self:
+        require_reach("R and t_mm", *np.ravel(self.R), *self.t_mm)
         rotation = np.asarray(self.R)
         error = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
         if error > 1e-4 or np.linalg.det(rotation) < 0:

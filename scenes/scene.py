@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from scenes.board import Board
 from scenes.distribution import Distribution
@@ -17,6 +17,9 @@ from scenes.patterns import Frame, Patterns
 from scenes.rig import Vector
 from scenes.sensor import Sensor, SimpleSensor
 from scenes.shapes import Shape
+
+# Beyond, a sum in float32 no longer grows by one sample.
+MOST_SAMPLES = 2**24
 
 Label = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=64)]
 
@@ -86,7 +89,7 @@ class Exposures(Frozen):
 class Sampling(Frozen):
     """How finely light is simulated."""
 
-    samples: PositiveInt = 64
+    samples: Annotated[int, Field(ge=1, le=MOST_SAMPLES)] = 64
     """Light paths per pixel."""
     depth: Annotated[int, Field(ge=1, le=64)] = 3
     """Surfaces the projector's light may meet on its way to the camera; 1 is direct light only."""
