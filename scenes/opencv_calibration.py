@@ -161,8 +161,8 @@ class Pair:
             (self.second, second, "second", self.R @ down, self.R @ ahead + self.t_mm),
         ):
             resolution = self._size(device, size, name)
-            pose = Extrinsics.model_validate({"R": R.tolist(), "t_mm": t.tolist()})
             try:
+                pose = Extrinsics.model_validate({"R": R.tolist(), "t_mm": t.tolist()})
                 devices.append(Pinhole.model_validate({**device.keys(resolution), "pose": pose}))
             except ValidationError as error:
                 message = error.errors()[0]["msg"].removeprefix("Value error, ")
