@@ -120,7 +120,8 @@ def _section(name: str, score: dict[str, Any]) -> str:
     lines = [f"## {name}", "", scenes.load(name).description, ""]
     if name in TEACHES:
         lines += [f"**What it teaches.** {TEACHES[name]}", ""]
-    lines += [f"![{name}: camera, height, error](gallery/{name}.webp)" + "{ loading=lazy }", ""]
+    image = f"gallery/{name}.webp"
+    lines += [f"[![{name}: camera, height, error]({image}){{ loading=lazy }}]({image})", ""]
     lines += ["| region | valid % | RMS µm | predicted µm | outliers % | one exposure: RMS µm |"]
     lines += ["|---|--:|--:|--:|--:|--:|"]
     for label, region in score.items():
