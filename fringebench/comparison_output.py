@@ -11,6 +11,7 @@ from rich.table import Table
 from evaluation.comparison import Comparison, Entry, Estimate, Region
 from evaluation.figures import MEASURED, MISSING, UM_PER_MM, save
 from evaluation.strategies import BUDGETS, ladder
+from fringebench.alone import alone
 from fringebench.run import prepare
 from scenes.replace_file import replacing
 
@@ -84,11 +85,13 @@ def write(result: Comparison, folder: str | Path) -> list[Path]:
     """``compare.json``, and ``compare-<budget>.png`` with RMS error and efficiency of every strategy and region."""
     out = prepare(folder)
     paths = [out / "compare.json"]
-    with replacing(paths[0]) as beside:
-        beside.write_text(json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n", "utf-8")
-    for budget in BUDGETS:
-        paths.append(out / f"compare-{budget}.png")
-        save(figure(result, budget), paths[-1])
+    with alone(out):
+        with replacing(paths[0]) as beside:
+            text = json.dumps(result.to_dict(), indent=2, allow_nan=False)
+            beside.write_text(text + "\n", "utf-8")
+        for budget in BUDGETS:
+            paths.append(out / f"compare-{budget}.png")
+            save(figure(result, budget), paths[-1])
     return paths
 
 

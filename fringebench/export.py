@@ -14,6 +14,8 @@ import cv2
 import numpy as np
 import tomli_w
 
+from fringebench.alone import alone
+from fringebench.run import prepare
 from scenes import Calibration, Frame, Stack
 from scenes.capture import Capture, Fringes, GrayFrames, Uniform
 from scenes.errors import FileError
@@ -47,14 +49,13 @@ def export(stack: Stack, folder: str | Path, projector: int | None = None) -> Pa
             f"frames are {stack.frames.dtype}, which PNG files cannot hold: use a sensor with bits from 1 to 16"
         )
     chosen = _chosen(stack, projector)
-    patterns = [replace(stack.patterns[i], projector=0) for i in chosen]
     index = projector or 0
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(f"cannot make the folder '{out}': {error.strerror or error}") from error
-    # An old manifest would describe a mixture while the files are replaced.
-    (out / MANIFEST).unlink(missing_ok=True)
+    with alone(prepare(out)):
+        return _export(stack, out, chosen, index)
+
+
+def _export(stack: Stack, out: Path, chosen: list[int], projector: int) -> Path:
+    patterns = [replace(stack.patterns[i], projector=0) for i in chosen]
     names = []
     for e in range(len(stack.exposure_ms)):
         for f, frame in enumerate(chosen):
@@ -64,6 +65,8 @@ def export(stack: Stack, folder: str | Path, projector: int | None = None) -> Pa
                 raise FileError(f"cannot write '{out / names[-1]}': PNG encoding failed")
             with replacing(out / names[-1]) as beside:
                 beside.write_bytes(data.tobytes())
+                # It would describe a mixture while the files are replaced.
+                (out / MANIFEST).unlink(missing_ok=True)
     bits = 8 if stack.frames.dtype == np.uint8 else max(9, stack.sensor.bits)
     manifest: dict[str, Any] = {
         "files": names,
@@ -76,9 +79,9 @@ def export(stack: Stack, folder: str | Path, projector: int | None = None) -> Pa
     if np.isfinite(stack.saturation_dn):
         manifest["saturation_dn"] = stack.saturation_dn
     if stack.calibration is not None:
-        light = stack.calibration.projectors[index]
+        light = stack.calibration.projectors[projector]
         manifest["projector_resolution"] = list(light.resolution)
-        manifest["rig"] = _rig(stack.calibration, index)
+        manifest["rig"] = _rig(stack.calibration, projector)
     # What cannot be read back is not worth writing.
     Capture.model_validate(manifest)
     with replacing(out / MANIFEST) as beside:

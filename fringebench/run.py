@@ -9,6 +9,7 @@ import decode
 import evaluation
 import render
 import scenes
+from fringebench.alone import alone
 from fringebench.progress import Steps
 from scenes.errors import FileError
 
@@ -91,7 +92,10 @@ def middle_exposure(stack: scenes.Stack) -> scenes.Stack:
 
 @contextmanager
 def keeping(folder: Path) -> Iterator[Callable[[str, Callable[[Path], None]], None]]:
-    """Give a function that writes a file of that name into `folder`; a `KeyboardInterrupt` says which were written."""
+    """Give a function that writes a file of that name into `folder`; a `KeyboardInterrupt` says which were written.
+
+    Raises `FileError` while another run writes there.
+    """
     written: list[str] = []
 
     def keep(name: str, write: Callable[[Path], None]) -> None:
@@ -99,7 +103,8 @@ def keeping(folder: Path) -> Iterator[Callable[[str, Callable[[Path], None]], No
         written.append(name)
 
     try:
-        yield keep
+        with alone(folder):
+            yield keep
     except KeyboardInterrupt:
         files = ", ".join(written) or "nothing new"
         raise KeyboardInterrupt(f"whole and kept in {folder}: {files}") from None
