@@ -3,15 +3,14 @@
 A bit is the sign of frame minus inverse, summed over exposures (a clipped pair adds nothing, a half clipped one the right
 sign); without inverses, of frame minus the pixel's own threshold: the mean of white and black, else the offset of the
 fringes, else the middle between the brightest and the darkest frame of the code. A bit weaker than `SURE` standard
-deviations of its noise is unsure. Neighbouring cells differ in one bit, so one unsure bit, a pixel astride an edge, leaves
-the code right to one cell. Unsure bits at the fine end (blur) make the cell wider; any other two make it worthless.
+deviations of its noise, or than `WEAK` of the pixel's contrast, is unsure. Neighbouring cells differ in one bit, so one
+unsure bit means a pixel astride the edge between two cells, and its coordinate is that edge. Unsure bits at the fine end
+(blur, a pixel wider than the stripes) make the cell wider; any other two make the code worthless.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
-
-import numpy as np
 
 from decode.device import Device, Lanes
 from scenes.errors import DecodeError
@@ -20,6 +19,9 @@ from scenes.stack import Stack
 
 # A bit flipped by noise alone at five standard deviations: three pixels in ten million.
 SURE = 5.0
+# A pixel wider than a bit's stripes averages them, and the sign of what is left may be the wrong one: at one and a half
+# periods it is a third of the contrast, inverted. Up to there a bit tells nothing.
+WEAK = 1.0 / 3.0
 # Fine bits that may be lost to blur before the code is no measurement any more.
 MOST_LOST = 3
 
@@ -48,9 +50,9 @@ class GrayCell:
     """The decoded code of every pixel, as lanes."""
 
     centre_px: Lanes
-    """Middle of the cell, float32."""
+    """Middle of the cell, or the edge between two cells that a pixel is astride of, float32."""
     width_px: Lanes
-    """Width of the cell that is sure, float32."""
+    """Width of the cell that the sure bits leave, float32."""
     sure: Lanes
     """False where the code may be off by more than a cell."""
     contrast: Lanes
@@ -96,8 +98,12 @@ def decode(
     stack: Stack,
     plane: Callable[[Any], Lanes],
     fringe_offset: Sequence[Lanes] | None = None,
+    weak: float = WEAK,
 ) -> GrayCell:
-    """Decode one axis. `plane` turns an image into lanes; `fringe_offset` is the fringes' mean of each exposure, DN."""
+    """Decode one axis. `plane` turns an image into lanes; `fringe_offset` is the fringes' mean of each exposure, DN.
+
+    `weak` is the share of the contrast below which a bit is unsure: 0 where fringes check the code.
+    """
     dr, types = device.dr, device.types
     noise = [stack.sensor.noise_model(ms) for ms in stack.exposure_ms]
     black = stack.sensor.black_level_dn
@@ -121,7 +127,7 @@ def decode(
         better = largest > best
         best, offset = dr.select(better, largest, best), dr.select(better, middle, offset)
         exposure = dr.select(better, types.UInt32(e), exposure)
-    limit = SURE * dr.sqrt(variance)
+    limit = dr.maximum(SURE * dr.sqrt(variance), weak * best)
     return _cells(device, gray, signals, limit, best, offset, variance, exposure)
 
 
@@ -172,27 +178,28 @@ def _cells(
     for signal in signals:
         parity = parity ^ (signal > 0.0)
         value = (value << 1) | dr.select(parity, one, zero)
-    # unsure bits counted from the fine end, and the others
-    lost, others, run = zero, zero, types.Bool(True)
-    for signal in reversed(signals):
+    # unsure bits counted from the fine end, and the others; `flip` turns a code into the one with that other bit inverted
+    lost, others, flip, run = zero, zero, zero, types.Bool(True)
+    for place, signal in enumerate(reversed(signals)):
         unsure = dr.abs(signal) < limit
         run = run & unsure
         lost = lost + dr.select(run, one, zero)
-        others = others + dr.select(unsure & ~run, one, zero)
+        astray = unsure & ~run
+        others = others + dr.select(astray, one, zero)
+        flip = dr.select(astray, types.UInt32((2 << place) - 1), flip)
+    block = types.Int32(value >> lost)
+    beyond = types.Int32((value ^ flip) >> lost)
     width = types.Float(one << lost)
-    start = types.Float((value >> lost) << lost)
+    # astride an edge, the place is the edge itself, between two neighbouring blocks
+    middle = 0.5 * types.Float(block + beyond + 1)
+    single = (others == 0) | ((others == 1) & (dr.abs(block - beyond) == 1))
     contrast = 0.5 * best
     return GrayCell(
-        centre_px=(start + 0.5 * width) * gray.cell_px,
+        centre_px=middle * width * gray.cell_px,
         width_px=width * gray.cell_px,
-        sure=(others <= 1) & (lost <= min(MOST_LOST, gray.bits - 1)),
+        sure=single & (lost <= min(MOST_LOST, gray.bits - 1)),
         contrast=contrast,
         offset=offset,
         contrast_variance=0.25 * variance / dr.square(contrast),
         exposure=exposure,
     )
-
-
-def cell_sigma_px(width_px: Lanes, device: Device) -> Lanes:
-    """Standard deviation of a coordinate known to lie in a cell: its width over the square root of 12."""
-    return width_px * float(np.sqrt(1.0 / 12.0))

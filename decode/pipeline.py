@@ -270,6 +270,8 @@ class _Kernel:
             stack,
             lambda image: self.device.plane(image, at),
             offsets,
+            # cells of half a fringe are many pixels wide, and the fringe tells whether the code is right
+            weak=0.0 if samples else gray.WEAK,
         )
 
     def _on_cell(
@@ -316,7 +318,7 @@ class _Kernel:
             types.Int32(dr.select(edge, order + 1.0, order)),
             [mismatch],
             phasor.usable,
-            gray.cell_sigma_px(cell.width_px, self.device),
+            cell.width_px * float(np.sqrt(1.0 / 12.0)),
         )
 
     def _samples(self, fringes: FringeSet, at: Lanes | None) -> fusion.Samples:

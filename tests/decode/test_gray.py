@@ -26,6 +26,7 @@ def take(
     dark: float = 30.0,
     sigma_dn: float = 0.0,
     blur_px: float = 0.0,
+    box_px: float = 0.0,
     exposures: tuple[float, ...] = (1.0,),
     calibrated: bool = True,
     seed: int = 0,
@@ -35,6 +36,9 @@ def take(
     shown = patterns.frames()
     taps = np.linspace(-2.0, 2.0, 41) * blur_px if blur_px else np.zeros(1)
     weights = np.exp(-0.5 * (taps / max(blur_px, 1e-9)) ** 2)
+    if box_px:
+        taps = (np.arange(60) + 0.5) / 60.0 * box_px - box_px / 2.0
+        weights = np.ones(60)
     light = np.stack(
         [
             sum(
@@ -113,6 +117,22 @@ def test_bits_lost_to_blur_widen_the_cell_and_the_claimed_sigma() -> None:
     ratio = ((two.height_mm - HEIGHT) / two.sigma_mm)[two.valid]
     # uniform in the wider cell; half of a cell more at edges that blur hides
     assert np.sqrt(np.mean(ratio**2)) < 1.2
+
+
+@pytest.mark.parametrize("box_px", [2.75, 5.5, 6.0, 7.0])
+def test_a_pixel_wider_than_the_stripes_claims_no_more_than_it_knows(box_px: float) -> None:
+    """A box of one and a half periods turns the sign of the finest bits, with a third of the contrast and no noise."""
+    rec = decode.reconstruct(take(GrayCode(bits=(9,)), sigma_dn=0.5, box_px=box_px), height="phase")
+    # three fine bits may be lost: cells of 8 px, whose middle is within 4 px; and a cell's width for one unsure bit more
+    assert np.abs(rec.column_px - COLUMN)[rec.valid].max() < 8.0
+    high = decode.reconstruct(
+        take(GrayCode(bits=(9,)), sigma_dn=0.5, box_px=box_px), height_range_mm=(-5.0, 10.0)
+    )
+    ratio = ((high.height_mm - HEIGHT) / high.sigma_mm)[high.valid]
+    assert high.valid.mean() > 0.5
+    assert np.sqrt(np.mean(ratio**2)) < 1.2
+    # a uniform error in the cell claimed never exceeds sqrt(3) sigma
+    assert (np.abs(ratio) > 3.0).mean() < 0.01
 
 
 def test_no_light_is_shadow_not_a_code() -> None:

