@@ -106,6 +106,23 @@ def map_axes(shape: tuple[int, int], right: float = RIGHT) -> tuple[Figure, Any]
     return figure, figure.add_axes(box)
 
 
+def panels(
+    count: int, columns: int, width: float, height: float, foot: float = 0.0
+) -> tuple[Figure, list[Any]]:
+    """A figure of `count` axes of that size in inches, `columns` side by side, with fixed margins; `foot` is left free."""
+    lines = -(-count // columns)
+    cell = (LEFT + width + 0.15, TOP + height + BOTTOM)
+    full = (columns * cell[0], lines * cell[1] + foot)
+    figure = Figure(full, dpi=DPI)
+    axes = []
+    for i in range(count):
+        line, column = divmod(i, columns)
+        left, bottom = column * cell[0] + LEFT, full[1] - (line + 1) * cell[1] + BOTTOM
+        box = (left / full[0], bottom / full[1], width / full[0], height / full[1])
+        axes.append(figure.add_axes(box))
+    return figure, axes
+
+
 def map_figure(
     values: NDArray[Any],
     title: str,
@@ -150,22 +167,15 @@ def error_histograms(rec: Reconstruction, truth: Truth, margin_px: int = 0) -> F
             regions[label] = error[use], sigma[use & (sigma > 0)].astype(np.float64)
     if not regions:
         raise ScoreError("no region has a measured pixel, so there is no error to draw")
-    columns = min(3, len(regions))
-    rows = -(-len(regions) // columns)
-    figure = Figure(figsize=(3.6 * columns, 2.8 * rows), layout="constrained")
-    panels = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes, (label, (errors, predicted)) in zip(panels, regions.items(), strict=False):
+    figure, places = panels(len(regions), min(3, len(regions)), 2.7, 1.7, foot=0.35)
+    for axes, (label, (errors, predicted)) in zip(places, regions.items(), strict=True):
         _histogram(axes, label, errors, predicted)
-    for axes in panels[len(regions) :]:
-        axes.set_axis_off()
     handles = {
         text: h
-        for axes in panels
+        for axes in places
         for h, text in zip(*axes.get_legend_handles_labels(), strict=True)
     }
-    figure.legend(
-        handles.values(), handles.keys(), loc="outside lower right", ncols=2, fontsize="small"
-    )
+    figure.legend(handles.values(), handles.keys(), loc="lower right", ncols=2, fontsize="small")
     return figure
 
 
@@ -187,8 +197,11 @@ def profile(
     position = line(truth.xyz_mm[..., 0 if along == "row" else 1])
     errors, sigma = line(error) * UM_PER_MM, line(rec.sigma_mm) * UM_PER_MM
     valid = np.isfinite(errors)
-    figure = Figure(figsize=(7.0, 4.6), layout="constrained")
-    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    figure, (above, below) = panels(2, 1, 6.3, 1.7)
+    # Heights need more room than errors do, and no x axis of their own.
+    above.set_position((LEFT / 7.2, 0.46, 6.3 / 7.2, 0.47))
+    below.sharex(above)
+    above.tick_params(labelbottom=False)
     measured = np.where(valid, line(rec.height_mm), np.nan)
     above.plot(position, measured, ".", color=MEASURED, markersize=2.5, label="measured")
     above.plot(position, line(truth.height_mm), color=TRUE, linewidth=1.0, label="truth")
@@ -262,6 +275,7 @@ def _histogram(
     beyond = int((~inside).sum())
     rest = f", {beyond} beyond" if beyond else ""
     axes.set(xlabel="height error (µm)", ylabel="density (1/µm)")
+    axes.locator_params(nbins=5)
     axes.set_title(f"{label}: {errors.size} px{rest}", fontsize="medium")
 
 

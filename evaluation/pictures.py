@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from decode import Reason, Reconstruction
 from evaluation.figures import map_axes, map_figure
+from evaluation.sheet import CLIPPED, Panel, contact_sheet
 from scenes.stack import Stack
 from scenes.truth import Truth
 
@@ -59,35 +60,20 @@ def scene_picture(stack: Stack, truth: Truth) -> Figure:
 
 
 def frames_picture(stack: Stack) -> Figure:
-    """The first frame of every exposure, in DN; saturated pixels are red."""
+    """The first frame of every exposure, in DN on one scale; saturated pixels are orange."""
     shown = list(range(len(stack.exposure_ms)))[:FRAMES_SHOWN]
-    columns = min(3, len(shown))
-    rows = -(-len(shown) // columns)
-    height, width = stack.frames.shape[2:]
-    figure = Figure(
-        figsize=(4.4 * columns, 4.4 * rows * height / width + 0.5 * rows), layout="constrained"
-    )
-    panels = figure.subplots(rows, columns, squeeze=False).ravel()
-    top = min(stack.saturation_dn, float(stack.frames.max()))
-    grey = ListedColormap([(v, v, v) for v in np.linspace(0, 1, 256)]).with_extremes(over="#D55E00")
-    for axes, k in zip(panels, shown, strict=False):
-        frame = stack.frames[k, 0].astype(np.float64)
-        clipped = float((frame >= stack.saturation_dn).mean())
-        image = axes.imshow(
-            np.where(frame >= stack.saturation_dn, 2.0 * top, frame),
-            cmap=grey,
-            vmin=0,
-            vmax=top,
-            interpolation_stage="rgba",
+    top = min(np.nextafter(stack.saturation_dn, 0.0), float(stack.frames.max()))
+    panels = [
+        Panel(
+            f"{stack.exposure_ms[k]:.3g} ms, {100 * float((stack.frames[k, 0] >= stack.saturation_dn).mean()):.1f} % saturated",
+            stack.frames[k, 0],
+            "DN",
+            CLIPPED,
+            (0.0, top),
         )
-        axes.set_title(
-            f"{stack.exposure_ms[k]:.3g} ms, {100 * clipped:.1f} % saturated", fontsize="medium"
-        )
-        axes.set(xlabel="column (px)", ylabel="row (px)")
-    for axes in panels[len(shown) :]:
-        axes.set_axis_off()
-    figure.colorbar(image, ax=list(panels), label="DN", extend="max", shrink=0.9)
-    return figure
+        for k in shown
+    ]
+    return contact_sheet(panels, columns=min(3, len(panels)), thumb_px=400)
 
 
 def phase_figures(rec: Reconstruction) -> Mapping[str, Figure]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -14,6 +15,8 @@ from evaluation.figures import DPI, MISSING, MISSING_ON_GRAY, SMALL_PX, beyond, 
 THUMB_PX = 320
 # Inches: gaps around a thumbnail, room for its title, for its colour bar, and for the sheet's title.
 GAP, TITLE, BAR, HEAD = 0.15, 0.25, 0.95, 0.3
+# Gray, saturated samples orange: for limits that end just below saturation.
+CLIPPED = colormaps["gray"].with_extremes(over="#D55E00")
 # Plain gray for 0, then Okabe and Ito's colours.
 NOTHING = "#e8e8e8"
 CATEGORIES = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#F0E442", "#000000")  # fmt: skip

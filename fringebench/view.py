@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from matplotlib import colormaps
 from numpy.typing import NDArray
 
 import decode
@@ -14,7 +13,7 @@ from decode.validity import Reason
 from evaluation.figures import save
 from evaluation.report import Block, Grid, Listing, Picture, Report, Section, Surface
 from evaluation.score import height_error_mm
-from evaluation.sheet import Panel, contact_sheet, normals_as_colours, panel_figure
+from evaluation.sheet import CLIPPED, Panel, contact_sheet, normals_as_colours, panel_figure
 from scenes.errors import FileError
 from scenes.exr import kind_of
 
@@ -22,8 +21,6 @@ SUFFIXES = (".html", ".png")
 # Frames drawn of one exposure at most.
 FRAMES_SHOWN = 24
 MILLI = 1e3
-# Saturated samples stand out.
-CLIPPED = colormaps["gray"].with_extremes(over="#D55E00")
 UM_PER_MM = 1e3
 
 

@@ -65,6 +65,15 @@ def test_it_opens_without_error_or_network_and_every_figure_has_size(page: Any) 
 
 
 @pytest.mark.slow
+def test_it_takes_longer_than_three_seconds_to_open(page: Any) -> None:
+    opened = "() => performance.getEntriesByType('navigation')[0].loadEventEnd"
+    page.wait_for_load_state("load")
+    assert 0 < page.evaluate(opened) < 3000
+    # What takes long, the 3-D view's program, is unpacked when it comes into view, not before.
+    assert page.evaluate("() => typeof window.Plotly") == "undefined"
+
+
+@pytest.mark.slow
 def test_the_surface_draws_turns_by_keyboard_and_tells_the_pixel_under_the_pointer(
     page: Any,
 ) -> None:
