@@ -1,5 +1,6 @@
 """The command line. Exit status: 0 done, 1 a gate failed, 2 bad input or use."""
 
+import io
 import json
 import os
 import sys
@@ -21,7 +22,7 @@ from fringebench.commands_view import register as register_view
 from fringebench.options import AsJson, Fusion, SceneName, Seed, Settings, ShowProgress
 from fringebench.overrides import parse_overrides
 from fringebench.progress import Mode, Steps
-from scenes.errors import FringebenchError
+from scenes.errors import DecodeError, FringebenchError
 from scenes.paths import as_file_name
 
 # What a shell reports for a command that Ctrl-C ended.
@@ -179,6 +180,10 @@ def decode_stack(
     height: Annotated[
         str | None, typer.Option(help="Height: triangulation, reference-plane, linear.")
     ] = None,
+    gamma: Annotated[
+        str | None,
+        typer.Option(help="Undo this gamma in the phase; 'estimate': from the fringes' harmonics."),
+    ] = None,
     roi: Annotated[
         tuple[int, int, int, int] | None,
         typer.Option(metavar="ROW0 ROW1 COL0 COL1", help="Decode only this region."),
@@ -188,9 +193,21 @@ def decode_stack(
     """Reconstruct heights from a stack."""
     import decode
 
+    number: float | str | None = gamma
+    if gamma not in (None, "estimate"):
+        try:
+            number = float(gamma)
+        except ValueError:
+            raise DecodeError(f"--gamma '{gamma}': give a number, or 'estimate'") from None
+
     with _steps(progress).step("decode"):
         decode.reconstruct(
-            scenes.Stack.read(stack), fusion=fusion, unwrap=unwrap, height=height, roi=roi
+            scenes.Stack.read(stack),
+            fusion=fusion,
+            unwrap=unwrap,
+            height=height,
+            gamma=number,
+            roi=roi,
         ).write(output)
 
 
@@ -270,6 +287,10 @@ register_view(app)
 
 def main() -> None:
     """Run the command line; errors a user can mend are one message and status 2."""
+    for stream in (sys.stdout, sys.stderr):
+        # A terminal without micrometres, or a name that is no UTF-8, is no reason to lose an answer.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
         app()
     except KeyboardInterrupt:

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import OpenEXR
@@ -66,7 +66,8 @@ def write(
         )
     with replacing(path) as beside, _library() as said:
         try:
-            OpenEXR.File(header, planes).write(str(beside))
+            with _named(beside, "wb") as name:
+                OpenEXR.File(header, planes).write(name)
         except (RuntimeError, ValueError, TypeError) as error:
             raise FileError(f"cannot write '{path}': {_first_line(said, error)}") from error
 
@@ -145,13 +146,26 @@ def whole(plane: NDArray[Any], dtype: DTypeLike) -> NDArray[Any]:
 def _opened(source: Path, header_only: bool) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     with _library() as said:
         try:
-            file = OpenEXR.File(str(source), separate_channels=True, header_only=header_only)
-            channels = {} if header_only else file.channels()
-            return file.header(), {name: channel.pixels for name, channel in channels.items()}
-        except (RuntimeError, ValueError, TypeError) as error:
+            with _named(source, "rb") as name:
+                file = OpenEXR.File(name, separate_channels=True, header_only=header_only)
+                channels = {} if header_only else file.channels()
+                return file.header(), {key: channel.pixels for key, channel in channels.items()}
+        except (RuntimeError, ValueError, TypeError, OSError) as error:
             raise FileError(
                 f"'{source}' is truncated, damaged or no OpenEXR file: {_first_line(said, error)}"
             ) from error
+
+
+@contextmanager
+def _named(path: Path, mode: Literal["rb", "wb"]) -> Iterator[Any]:
+    """The file for the library: its name, or an open file where the name is no UTF-8, which the library refuses."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        with path.open(mode) as stream:
+            yield stream
+    else:
+        yield str(path)
 
 
 def _claimed_bytes(header: Mapping[str, Any]) -> int:
