@@ -1,6 +1,5 @@
 """The command line. Exit status: 0 done, 1 a gate failed, 2 bad input or use."""
 
-import io
 import json
 import os
 import sys
@@ -194,7 +193,7 @@ def decode_stack(
     import decode
 
     number: float | str | None = gamma
-    if gamma not in (None, "estimate"):
+    if gamma is not None and gamma != "estimate":
         try:
             number = float(gamma)
         except ValueError:
@@ -287,10 +286,6 @@ register_view(app)
 
 def main() -> None:
     """Run the command line; errors a user can mend are one message and status 2."""
-    for stream in (sys.stdout, sys.stderr):
-        # A terminal without micrometres, or a name that is no UTF-8, is no reason to lose an answer.
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
     try:
         app()
     except KeyboardInterrupt:
