@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from fringebench.options import ShowProgress
+from fringebench.options import Fusion, ShowProgress
 from fringebench.progress import Mode, Steps
 
 STYLES = {"ok": "green", "warning": "yellow", "wrong": "bold red", "unknown": "dim"}
@@ -82,18 +82,18 @@ def stereo(
     mm_per_unit: Annotated[
         float, typer.Option(help="Millimetres per unit of the calibration: 1000 for metres.")
     ] = 1.0,
-    fusion: Annotated[str, typer.Option(help="Exposure fusion rule.")] = "max-modulation",
+    fusion: Fusion = "max-modulation",
+    progress: ShowProgress = Mode.AUTO,
 ) -> None:
     """Heights from two cameras that saw the same patterns; the projector needs no calibration."""
     import scenes
     from decode.stereo import stereo as match
-    from fringebench.progress import Steps
     from scenes.opencv_calibration import Source
 
     stacks = [scenes.Stack.read(path) for path in (left, right)]
     pair = Source(files=tuple(calibration), mm_per_unit=mm_per_unit).pair()
     cameras = pair.cameras(stacks[0].resolution, stacks[1].resolution)
-    with Steps(Console(stderr=True)).step("match"):
+    with Steps(Console(stderr=True), progress).step("match"):
         rec = match(stacks[0], stacks[1], cameras, (-depth_mm[1], -depth_mm[0]), fusion=fusion)
     rec.write(output)
     Console(highlight=False).print(f"{output}: {rec.valid.mean():.1%} of the pixels measured")

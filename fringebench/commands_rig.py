@@ -9,6 +9,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from fringebench.options import AsJson, SceneName, Settings, ShowProgress
+from fringebench.progress import Mode, Steps
 from scenes.errors import FileError
 
 Names = Annotated[
@@ -63,30 +65,28 @@ def twin(
 
 
 def calibrate(
-    scene: Annotated[str, typer.Argument(help="A shipped scene's name, or a TOML file.")] = "bench",
+    scene: SceneName = "bench",
     board: Annotated[str, typer.Option(help="checkerboard or charuco.")] = "checkerboard",
     poses: Annotated[int, typer.Option(help="Pictures of the chart.", min=4)] = 15,
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", help="Also write what OpenCV found (.yml, .xml, .json)."),
     ] = None,
-    settings: Annotated[
-        list[str], typer.Option("--set", metavar="KEY=VALUE", help="Override a key of the scene.")
-    ] = [],  # noqa: B006
+    settings: Settings = [],  # noqa: B006
     seed: Annotated[int, typer.Option(help="Seed of poses, light and noise.", min=0)] = 0,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    progress: ShowProgress = Mode.AUTO,
+    as_json: AsJson = False,
 ) -> None:
     """Render a chart in poses, run OpenCV's camera-projector calibration, and hold it against the rendered rig."""
     import scenes
     from fringebench.overrides import parse_overrides
-    from fringebench.progress import Steps
     from fringebench.virtual_calibration import calibrate as run
     from scenes import opencv_calibration
 
     if board not in ("checkerboard", "charuco"):
         raise FileError(f"--board '{board}': choose checkerboard or charuco")
     loaded = scenes.load(scene, parse_overrides(settings))
-    landed = run(loaded, board, poses, seed, Steps(Console(stderr=True)))  # type: ignore[arg-type]
+    landed = run(loaded, board, poses, seed, Steps(Console(stderr=True), progress))  # type: ignore[arg-type]
     if output:
         opencv_calibration.write(output, landed.found)
     if as_json:
@@ -111,25 +111,23 @@ def calibrate(
 
 
 def accept(
-    rig: Annotated[str, typer.Argument(help="A shipped scene's name, or a scene TOML (see twin).")],
+    rig: SceneName,
     limit_um: Annotated[
         float | None,
         typer.Option(help="Largest error permitted in any measure; exit status 1 beyond."),
     ] = None,
-    settings: Annotated[
-        list[str], typer.Option("--set", metavar="KEY=VALUE", help="Override a key of the scene.")
-    ] = [],  # noqa: B006
+    settings: Settings = [],  # noqa: B006
     seed: Annotated[int, typer.Option(help="Seed of light and noise.", min=0)] = 0,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    progress: ShowProgress = Mode.AUTO,
+    as_json: AsJson = False,
 ) -> None:
     """Acceptance test after VDI/VDE 2634-2 and ISO 10360-13: probing error, sphere distance, flatness."""
     import scenes
     from fringebench.acceptance import accept as run
     from fringebench.overrides import parse_overrides
-    from fringebench.progress import Steps
 
     loaded = scenes.load(rig, parse_overrides(settings))
-    result = run(loaded, seed, Steps(Console(stderr=True)))
+    result = run(loaded, seed, Steps(Console(stderr=True), progress))
     worst, noise = result.worst(), result.noise()
     if as_json:
         sys.stdout.write(json.dumps(result.to_dict(), indent=2) + "\n")

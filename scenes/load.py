@@ -16,6 +16,7 @@ from scenes.replace_file import replacing
 from scenes.scene import Scene
 from scenes.toml_lines import line_of
 
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
 Overrides = Mapping[str, Any]
 
 # Errors of a scene that are told at once.
@@ -107,7 +108,7 @@ def save(scene: Scene, path: str | Path) -> None:
 
 def schema() -> dict[str, Any]:
     """The JSON schema of a scene file, for editors."""
-    return Scene.model_json_schema()
+    return {"$schema": DIALECT, **Scene.model_json_schema()}
 
 
 def _resolve_board(board: dict[str, Any], folder: Path) -> None:

@@ -99,18 +99,29 @@ class Scene(Frozen):
     """What stands before the camera, and how it is lit, shown and taken."""
 
     name: str = "untitled"
+    """Of the scene, in reports and as the folder's default."""
     description: str = ""
+    """One line: what it shows."""
     camera: Camera
+    """The one that takes the frames."""
     projectors: Annotated[tuple[Projector, ...], Field(min_length=1, max_length=16)]
+    """Each shows all patterns, one projector after the other."""
     objects: tuple[Object, ...] = ()
+    """Meshes and simple shapes, placed; a scene has these, a board, or both."""
     board: Board | None = None
     """A circuit board with solder paste, its laminate's surface at z = 0."""
     materials: dict[str, Material] = {}
+    """Name -> a material of the scene's own, beside or instead of the library's."""
     ambient: Ambient = Ambient()
+    """Light that is not the projectors'."""
     patterns: Patterns
+    """What the projectors show."""
     sensor: Sensor = SimpleSensor()
+    """How light becomes digital numbers."""
     exposures: Exposures
+    """How long each pattern is exposed, and how often."""
     sampling: Sampling = Sampling()
+    """Light paths, and how many surfaces they may meet."""
     height_range_mm: tuple[float, float]
     """Lowest and highest z expected: the working volume, which decoding may use to find the fringe order."""
     randomise: dict[str, Distribution] = {}
