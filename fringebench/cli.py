@@ -1,5 +1,6 @@
 """The command line. Exit status: 0 done, 1 a gate failed, 2 bad input or use."""
 
+import io
 import json
 import os
 import sys
@@ -286,6 +287,10 @@ register_view(app)
 
 def main() -> None:
     """Run the command line; errors a user can mend are one message and status 2."""
+    for stream in (sys.stdout, sys.stderr):
+        # A terminal without micrometres, or a name that is no UTF-8, is no reason to lose an answer.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
         app()
     except KeyboardInterrupt:
