@@ -101,7 +101,7 @@ def _gates(confusion: dict[str, Any]) -> Table:
 
 def _study(study: dict[str, Any]) -> Table:
     table = Table(title="gauge study of volume, % of nominal", title_justify="left")
-    for name in ("EV", "AV", "GRR", "% of tolerance", "% of study", "categories"):
+    for name in ("EV", "reprod.", "GRR", "% of tolerance", "% of study", "categories"):
         table.add_column(name, justify="right")
     table.add_row(
         f"{study['ev']:.3f}",

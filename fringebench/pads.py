@@ -85,7 +85,8 @@ def pad_budget(
     ``ideal``: every surface diffuse and equally bright, direct light alone, no noise, all projectors, a threshold of
     2 um; what is left is the rig's own, pixels and shadows. Then one at a time: ``one projector`` (where the scene has
     more), ``metal`` (the board's real materials), ``grains``, ``interreflection``, ``noise``, ``threshold`` (40 um);
-    and ``all`` of them but the single projector. The deposits are the same throughout, and so is their truth.
+    ``metal, interreflection`` together, which do what neither does alone: metal throws light onto its neighbours; and
+    ``all`` of them but the single projector. The deposits are the same throughout, and so is their truth.
 
     Raises `SceneError` for a scene without a board, `ScoreError` where it has no pad of 0.3 mm.
     """
@@ -115,6 +116,7 @@ def pad_budget(
     if len(scene.projectors) > 1:
         rows["one projector"] = errors("one projector")
     rows |= {cause: errors(cause) for cause in causes}
+    rows["metal, interreflection"] = errors("metal", "interreflection")
     return rows | {"all": errors(*causes)}
 
 

@@ -45,7 +45,7 @@ def test_an_ideal_board_is_measured_well_and_one_projector_measures_it_worse(
     rows = pad_budget(scene)
     assert set(rows) == {
         *("ideal", "one projector", "metal", "grains", "interreflection", "noise"),
-        *("threshold", "all"),
+        *("threshold", "metal, interreflection", "all"),
     }
     # Along the 2.4 mm around a pad of 0.35 mm2 half a pixel of 10 um is 3.4 % of its area; the rim stands at a third of
     # the plateau.
