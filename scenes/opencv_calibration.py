@@ -274,7 +274,9 @@ def _matrix(data: Any, rows: Any, columns: Any) -> NDArray[np.float64] | None:
     """A stored matrix, flat where it does not say its shape; None where it is none."""
     try:
         flat = np.asarray(data, dtype=np.float64).ravel()
-        return flat if rows is None else flat.reshape(int(rows), int(columns))
+        shape = (flat.size,) if rows is None else (int(rows), int(columns))
+        # reshape takes a negative size for "whatever fits"
+        return flat.reshape(shape) if min(shape) > 0 else None
     except (TypeError, ValueError, OverflowError):
         return None
 

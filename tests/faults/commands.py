@@ -1,0 +1,38 @@
+"""The command line in a process of its own, small enough to be run many times."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+SMALL = ("--set", "camera.resolution=[24,18]", "--set", "sampling.samples=2")
+
+
+def start(
+    *words: str | Path, folder: Path, env: Mapping[str, str] | None = None
+) -> subprocess.Popen[str]:
+    """``fringebench WORDS`` in a folder, its output kept."""
+    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+    return subprocess.Popen(
+        [sys.executable, "-m", "fringebench", *map(os.fspath, words)],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": path} | dict(env or {}),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        encoding="utf-8",
+        errors="surrogateescape",
+    )
+
+
+def finish(process: subprocess.Popen[str], timeout_s: float = 120) -> tuple[int, str, str]:
+    """Exit status, standard output, standard error."""
+    try:
+        out, err = process.communicate(timeout=timeout_s)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.communicate()
+        raise
+    return process.returncode, out, err

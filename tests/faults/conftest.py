@@ -1,0 +1,88 @@
+"""Files of one small run, and disks that are small or read-only."""
+
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+import render
+import scenes
+from fringebench.cli import main
+from fringebench.run import run
+from tests.faults.commands import SMALL
+
+Call = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a small run of `step`; not to be changed."""
+    folder = tmp_path_factory.mktemp("made")
+    run(scenes.load("step", {"camera.resolution": [24, 18], "sampling.samples": 2}), folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def transport(made: Path) -> render.Transport:
+    """Its light."""
+    return render.Transport.read(made / "transport.exr")
+
+
+@pytest.fixture
+def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Call:
+    """Run the command line in this process, small; returns exit status, stdout, stderr."""
+
+    def command(*words: str | Path, small: bool = False) -> tuple[int, str, str]:
+        monkeypatch.setattr(
+            sys, "argv", ["fringebench", *map(str, words), *(SMALL if small else ())]
+        )
+        try:
+            main()
+            status = 0
+        except SystemExit as leaving:
+            status = int(leaving.code or 0)
+        out, err = capsys.readouterr()
+        return status, out, err
+
+    return command
+
+
+Disk = Callable[..., Path]
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Disk]:
+    """Mount a tmpfs of some KiB, later perhaps read-only; skips where that is not allowed."""
+    mounted: list[Path] = []
+
+    def mount(kib: int = 1024, read_only: bool = False) -> Path:
+        point = tmp_path / "disk"
+        point.mkdir(exist_ok=True)
+        options = f"size={kib}k"
+        if point in mounted:
+            options += ",remount"
+        if read_only:
+            options += ",ro"
+        done = (
+            subprocess.run(
+                ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(point)],
+                capture_output=True,
+                text=True,
+                check=False,
+            )
+            if sys.platform == "linux"
+            else None
+        )
+        if done is None or done.returncode:
+            pytest.skip(
+                f"no disk can be mounted here: {done.stderr.strip() if done else sys.platform}"
+            )
+        if point not in mounted:
+            mounted.append(point)
+        return point
+
+    yield mount
+    for point in mounted:
+        subprocess.run(["umount", str(point)], check=True)
