@@ -205,6 +205,14 @@ class View:
         slope = rig.coordinate(ray, ray.t_at(middle), axis)[1] / ray.world_direction[2]
         return float(np.median(np.abs(slope)))
 
+    def locating_rig(
+        self,
+        number: Callable[[float], Real] = float,
+        invert: Callable[[Real], Real] = _invert,
+    ) -> Rig:
+        """The rig for a kernel that only asks where heights are seen: fringes along the baseline serve for that too."""
+        return replace(self.rig, number=number, invert=invert)
+
     def kernel_rig(
         self,
         axis: Axis,

@@ -115,9 +115,14 @@ class Triangulation(HeightModel):
 
     view: View
     axis: Axis
+    measures: bool = True
+    """Without: only coordinates are asked for, and fringes that no height moves will do."""
 
     def bind(self, pixels: Pixels) -> Solver:
-        rig = self.view.kernel_rig(self.axis, pixels.number, pixels.invert)
+        if self.measures:
+            rig = self.view.kernel_rig(self.axis, pixels.number, pixels.invert)
+        else:
+            rig = self.view.locating_rig(pixels.number, pixels.invert)
         return _Triangulated(rig, self.axis, *pixels.centres())
 
     def band_px(self, heights_mm: tuple[float, float]) -> float:

@@ -124,7 +124,7 @@ class Plan:
             return None
         if axis == self.axis and self.model is not None:
             return self.model
-        return None if self.view is None else Triangulation(self.view, axis)
+        return None if self.view is None else Triangulation(self.view, axis, measures=False)
 
     @cached_property
     def ways(self) -> dict[Axis, Way]:

@@ -10,7 +10,8 @@ import decode
 from decode.fusion import MaxModulation
 from scenes import backend
 from scenes.patterns import PhaseShift
-from tests.decode.synthetic import calibrated_stack, hills, rig
+from scenes.rig import LookAt
+from tests.decode.synthetic import calibrated_stack, coordinates, hills, rig
 
 ROI = (5, 41, 9, 60)
 
@@ -37,6 +38,25 @@ def test_every_kind_of_call_returns_the_right_heights(
         assert image.shape[:2] == truth.shape
         assert np.isfinite(image[asked]).all()
     assert (rec.row_px is not None) == both
+
+
+@pytest.mark.parametrize("model", ["telecentric", "pinhole"])
+def test_fringes_along_the_baseline_do_no_harm_to_heights(model: str) -> None:
+    """A projector straight beside the camera, the usual rig: no height moves its rows."""
+    truth = hills()
+    calibration = rig(model, model, lenses=model == "pinhole")
+    beside = LookAt(origin_mm=(35, 0, 50))
+    projector = calibration.projectors[0].model_copy(update={"pose": beside})
+    calibration = calibration.model_copy(update={"projectors": (projector,)})
+    patterns = PhaseShift(periods_px=(16.0, 80.0, 400.0), axes=("column", "row"))
+    rec = decode.reconstruct(calibrated_stack(calibration, truth, patterns, sigma_dn=1.0))
+    assert rec.axis == "column"
+    assert rec.valid.all()
+    assert (np.abs(rec.height_mm - truth) < 6 * rec.sigma_mm).all()
+    assert rec.row_px is not None
+    row = coordinates(calibration, truth)[1]
+    # six standard deviations of four-step phase: 16 px / 2 pi x sqrt(2 / 4) x 1 / 80
+    assert np.abs(rec.row_px - row).max() < 6 * 16 / (2 * np.pi) * np.sqrt(0.5) / 80
 
 
 def test_a_fresh_interpreter_needs_no_initialisation() -> None:
