@@ -13,7 +13,7 @@ from decode.height import Pixels, Solver
 from decode.ladder import single
 from decode.options import Options
 from decode.phase import FringeSet, Phasor, wrapped
-from decode.plan import Plan
+from decode.plan import Plan, Way
 from decode.reconstruction import AxisPhase, Reconstruction
 from decode.validity import Limits, Reason
 from scenes.errors import DecodeError
@@ -199,9 +199,11 @@ class _Kernel:
             **images,
         )
 
-    def _axis(self, axis: Axis) -> _Decoded:
+    def _axis(self, axis: Axis, way: Way | None = None) -> _Decoded:
+        """One axis, unwrapped as the plan says or another way."""
         device, plan = self.device, self.plan
-        sets, way, rungs = plan.sets[axis], plan.ways[axis], plan.rungs[axis]
+        way = way or plan.ways[axis]
+        sets, rungs = plan.sets[axis], plan.rungs(axis, way)
         if way in ("row-scan", "quality-guided"):
             sets, rungs = sets[-1:], single([sets[-1].period_px])
         samples = [self._samples(fringes, self.pixels.flat()) for fringes in sets]
@@ -369,9 +371,15 @@ class _Kernel:
         guided = self.plan.ways[axis] == "quality-guided"
         scan: Callable[..., unwrap.Orders] = unwrap.quality_guided if guided else unwrap.row_scan
         orders = scan(image, mask)
-        if self.plan.locator(axis) is not None:
-            expected = self._expected(axis, field=False) * (1.0 / fringes.period_px)
-            orders = unwrap.level(orders, image, mask, self._host(expected), whole=not guided)
+        known = self.plan.levels(axis)
+        if known is not None:
+            pixelwise = self._axis(axis, known)
+            turns = types.Float(pixelwise.order) + pixelwise.wrapped_rad * (1.0 / unwrap.TURN)
+        elif self.plan.locator(axis) is not None:
+            turns = self._expected(axis, field=False) * (1.0 / fringes.period_px)
+        else:
+            return types.Int32(orders.reshape(-1))
+        orders = unwrap.level(orders, image, mask, self._host(turns), whole=not guided)
         return types.Int32(orders.reshape(-1))
 
     def _host(self, values: Lanes) -> NDArray[Any]:

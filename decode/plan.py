@@ -1,6 +1,6 @@
 """What to do with one projector's frames, decided on the host before any pixel is touched."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -136,12 +136,15 @@ class Plan:
         """Whether an axis is scanned over the image, which must then be decoded whole."""
         return any(way not in ("gray", "volume", "field") for way in self.ways.values())
 
-    @cached_property
-    def rungs(self) -> dict[Axis, tuple[Rung, ...]]:
-        """The phases that carry each axis' order down to its finest fringes."""
-        return {axis: self._rungs(axis, way) for axis, way in self.ways.items()}
+    def levels(self, axis: Axis) -> Way | None:
+        """What fixes orders pixel by pixel where the finest fringes are scanned, and so tells the scan's whole turns."""
+        if self.ways[axis] not in ("row-scan", "quality-guided"):
+            return None
+        way = replace(self, options=replace(self.options, unwrap=None))._way(axis)
+        return way if way in ("gray", "volume", "field") else None
 
-    def _rungs(self, axis: Axis, way: Way) -> tuple[Rung, ...]:
+    def rungs(self, axis: Axis, way: Way) -> tuple[Rung, ...]:
+        """The phases that carry an axis' order down to its finest fringes."""
         periods = [fringes.period_px for fringes in self.sets[axis]]
         found = None
         if way == "gray" and periods:

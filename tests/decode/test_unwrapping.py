@@ -167,6 +167,18 @@ def test_quality_guided_regions_are_each_levelled_by_the_volume() -> None:
     assert np.abs(rec.height_mm - truth)[lit].max() < 5e-5
 
 
+@pytest.mark.parametrize("way", ["row-scan", "quality-guided"])
+def test_a_scan_takes_its_whole_turns_from_the_coarser_periods(way: str) -> None:
+    # the board fills the image, 5.5 mm below the middle of the volume; a fringe is 3.1 mm
+    truth = 0.2 * hills()
+    truth[:, 56:] = 0.0
+    calibration = rig(heights_mm=(-1.0, 12.0))
+    patterns = PhaseShift(periods_px=(16.0, 100.0, 400.0))
+    rec = decode.reconstruct(calibrated_stack(calibration, truth, patterns), unwrap=way)
+    assert rec.valid.all()
+    assert np.abs(rec.height_mm - truth).max() < 5e-5
+
+
 def test_uncalibrated_single_period_gives_relative_phase_from_zero() -> None:
     made = calibrated_stack(rig(), np.zeros((48, 64)), PhaseShift(periods_px=(16.0,)))
     rec = decode.reconstruct(uncalibrated(made), height="phase")
