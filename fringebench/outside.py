@@ -87,7 +87,7 @@ def run_adapter(
         if done.returncode or not output.is_file():
             last = (done.stderr or done.stdout).strip().splitlines()[-1:] or ["no output"]
             raise FileError(f"adapter {name} failed: {last[0]}")
-        with np.load(output) as maps:
+        with np.load(output, allow_pickle=False) as maps:
             return {key: maps[key] for key in maps.files}
 
 

@@ -89,6 +89,9 @@ def _traced(
     camera = optics(scene.camera)
     lights = [Light(p, optics(p), b.channels) for p, b in zip(scene.projectors, bases, strict=True)]
     glow = scene.ambient.radiance_w_m2_sr
+    # Light beyond float32 is refused when it is traced.
+    with np.errstate(over="ignore", invalid="ignore"):
+        guide = learn(mi_scene, camera, lights, scene.camera.resolution, seed, glow > 0)
     pass_ = Pass(
         mi_scene,
         camera,
@@ -96,7 +99,7 @@ def _traced(
         dr.opaque(mi.Float, glow) if glow > 0 else None,
         depth,
         None if footprint == 1.0 else dr.opaque(mi.Float, footprint),
-        learn(mi_scene, camera, lights, scene.camera.resolution, seed, glow > 0),
+        guide,
     )
     width, height = scene.camera.resolution
     channels = [len(b.channels) for b in bases]

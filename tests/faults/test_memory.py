@@ -1,0 +1,206 @@
+"""More than memory holds: refused before it starts, with what it takes, what there is and what to change."""
+
+import os
+import re
+import struct
+import subprocess
+import sys
+import textwrap
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import decode
+import render
+import scenes
+from scenes import exr, memory
+from scenes.errors import FileError, TooLargeError
+from tests.faults.commands import ROOT
+
+Call = Callable[..., tuple[int, str, str]]
+GIB = 2**30
+
+
+@pytest.fixture
+def free(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
+    """Have the machine say that it has so many bytes."""
+    return lambda count: monkeypatch.setattr(memory, "available_bytes", lambda: count)
+
+
+def test_a_hundred_megapixels_and_48_frames_are_refused_at_once(
+    free: Callable[[int], None], transport: render.Transport
+) -> None:
+    free(4 * GIB)
+    size = (11_600, 8_700)
+    huge = scenes.load("step", {"camera.resolution": list(size)})
+    with pytest.raises(TooLargeError, match=r"11600 x 8700 pixels.*GiB are free: lower camera"):
+        render.trace(huge)
+    # 100 Mpx of light without 100 Mpx of memory
+    plane = np.broadcast_to(np.float32(1.0), size[::-1])
+    light = np.broadcast_to(plane, (*transport.total.shape[:2], *plane.shape))
+    wide = render.Transport(
+        light, light, plane, plane, transport.labels, transport.bases, huge, 0, 2, 3
+    )
+    with pytest.raises(TooLargeError, match=r"4 exposures of 12 frames .*GiB are free: take fewer"):
+        render.expose(wide, exposures=[1.0, 2.0, 4.0, 8.0])
+
+
+@pytest.mark.parametrize("command", ["run", "render"])
+def test_the_command_line_refuses_before_it_starts(
+    command: str, free: Callable[[int], None], tmp_path: Path, call: Call
+) -> None:
+    free(GIB)
+    out = tmp_path / ("out" if command == "run" else "transport.exr")
+    status, _, err = call(command, "bench", "-o", out, "--set", "camera.resolution=[20000,15000]")
+    assert status == 2
+    assert re.search(r"20000 x 15000 pixels.*needs about .*GiB of memory, 1 GiB are free", err)
+    assert not out.is_file()
+
+
+def test_truth_decoding_and_reading_ask_too(
+    free: Callable[[int], None], made: Path, transport: render.Transport
+) -> None:
+    stack = scenes.Stack.read(made / "stack.exr")
+    free(1000)
+    for ask in (
+        lambda: render.truth(transport.scene, transport),
+        lambda: decode.reconstruct(stack),
+        lambda: scenes.Stack.read(made / "stack.exr"),
+        lambda: render.Transport.read(made / "transport.exr"),
+    ):
+        with pytest.raises(TooLargeError, match="GiB are free"):
+            ask()
+
+
+def test_an_estimate_that_was_too_low_is_told_as_well() -> None:
+    with (
+        pytest.raises(TooLargeError, match="more than there was: go away"),
+        memory.room_for(1, "this", "go away"),
+    ):
+        raise MemoryError
+
+
+def test_a_container_and_a_limit_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if memory.available_bytes() is None:
+        pytest.skip("this system does not say how much memory is free")
+    monkeypatch.setattr(memory, "CGROUP", tmp_path)
+    whole = memory.available_bytes()
+    assert whole is not None
+    # version 2: pages of files can be dropped, so they are free
+    (tmp_path / "memory.max").write_text("50000000\n")
+    (tmp_path / "memory.current").write_text("30000000\n")
+    (tmp_path / "memory.stat").write_text("anon 1\ninactive_file 5000000\n")
+    assert memory.available_bytes() == 25_000_000
+    (tmp_path / "memory.max").write_text("max\n")
+    assert memory.available_bytes() == pytest.approx(whole, rel=0.5)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of address space are Linux's")
+@pytest.mark.slow
+def test_under_a_hard_limit_there_is_an_error_and_no_crash() -> None:
+    """Dr.Jit, out of memory, ends the process; the estimate must be above what is taken, at any size."""
+    script = """
+        import re, resource, sys
+        import render, scenes
+        from scenes.errors import TooLargeError
+
+        small = scenes.load("step", {"camera.resolution": [64, 48]})
+        light = render.trace(small, samples=2)
+        render.expose(light)
+        status = open("/proc/self/status").read()
+        taken = int(re.search(r"VmSize:\\s+(\\d+)", status)[1]) * 1024
+        limit = taken + int(float(sys.argv[2]) * 2**30)
+        resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+        try:
+            width = int(sys.argv[1])
+            render.trace(small.model_copy(update={
+                "camera": small.camera.model_copy(update={"resolution": (width, width * 3 // 4)})
+            }), samples=2)
+        except TooLargeError as error:
+            print("refused", error)
+        else:
+            print("done")
+        """
+    outcomes = []
+    for width, gib in ((1600, 0.1), (1600, 0.25), (1600, 0.31), (1600, 0.6), (12_000, 1.0)):
+        done = subprocess.run(
+            [sys.executable, "-c", textwrap.dedent(script), str(width), str(gib)],
+            env=os.environ | {"PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, (width, gib, done.returncode, done.stderr[-500:])
+        outcomes.append(done.stdout.split()[0])
+    assert outcomes[0] == outcomes[-1] == "refused"
+    assert outcomes[3] == "done"
+
+
+def claiming(whole: bytes, width: int, height: int) -> bytes:
+    """An EXR file whose header says another size."""
+    changed = bytearray(whole)
+    for name in (b"dataWindow\0box2i\0", b"displayWindow\0box2i\0"):
+        at = changed.index(name) + len(name) + 4
+        changed[at : at + 16] = struct.pack("<4i", 0, 0, width - 1, height - 1)
+    return bytes(changed)
+
+
+SIZES = (
+    (10**9, 10**9),
+    (2**31 - 1, 2**31 - 1),
+    (10, 10**9),
+    (10**9, 8),
+    (10**8, 16),
+    (100_000, 100_000),
+    (0, 0),
+    (-5, -5),
+)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_an_exr_header_that_claims_too_much_is_refused(
+    size: tuple[int, int], tmp_path: Path, free: Callable[[int], None]
+) -> None:
+    free(8 * GIB)
+    path = tmp_path / "a.exr"
+    exr.write(path, "thing", {"x": np.zeros((8, 10), np.float16)}, {})
+    path.write_bytes(claiming(path.read_bytes(), *size))
+    with pytest.raises((FileError, TooLargeError), match=str(path)):
+        exr.read(path, "thing")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="peak memory as Linux tells it")
+def test_a_header_that_claims_too_much_takes_no_memory(tmp_path: Path) -> None:
+    path = tmp_path / "whole.exr"
+    exr.write(path, "thing", {"x": np.zeros((8, 10), np.float16)}, {})
+    paths = []
+    for i, size in enumerate(SIZES):
+        paths.append(tmp_path / f"{i}.exr")
+        paths[-1].write_bytes(claiming(path.read_bytes(), *size))
+    script = f"""
+        import resource
+        from scenes import exr
+        from scenes.errors import FringebenchError
+        exr.read({str(path)!r}, "thing")
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        for path in {[str(p) for p in paths]}:
+            try:
+                exr.read(path, "thing")
+            except FringebenchError:
+                continue
+            raise SystemExit(f"{{path}} was read")
+        print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+        """
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(script)],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert done.returncode == 0, done.stderr
+    # ten pixels' worth of work: some pages of code, no images
+    assert int(done.stdout) < 20_000

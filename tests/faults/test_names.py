@@ -1,0 +1,156 @@
+"""Names in files lead nowhere but where they belong, nothing in a file is run, and odd names and places work."""
+
+import ast
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import scenes
+from evaluation.report import Paragraph, Report, Section
+from fringebench.datasets.plan import Plan
+from fringebench.datasets.sample import Record
+from scenes.errors import DatasetError, SceneError
+from scenes.paths import as_file_name
+from tests.faults.commands import ROOT, SMALL, finish, start
+
+Call = Callable[..., tuple[int, str, str]]
+ESCAPES = (
+    "../../x",
+    "/etc/x",
+    "..",
+    ".",
+    "",
+    "a/../../../x",
+    "x\0y",
+    "~root",
+    "a\\..\\b",
+    "x" * 5000,
+)
+
+
+@pytest.mark.parametrize("name", ESCAPES)
+def test_a_text_as_a_file_name_stays_in_its_folder(name: str, tmp_path: Path) -> None:
+    path = tmp_path / f"fringebench-{as_file_name(name)}"
+    assert path.resolve().parent == tmp_path
+    path.mkdir()
+
+
+@pytest.mark.parametrize("name", ["a/../../../escaped"])
+def test_a_scenes_name_does_not_lead_out_of_the_working_folder(
+    name: str, tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inner = tmp_path / "a" / "b"
+    inner.mkdir(parents=True)
+    monkeypatch.chdir(inner)
+    status, _, err = call("run", "step", "--set", f'name="{name}"', "--json", small=True)
+    assert status == 0, err
+    folders = [path for path in tmp_path.rglob("*") if path.is_dir()]
+    assert folders == [inner.parent, inner, *inner.iterdir()]
+    assert len(folders) == 3
+
+
+@pytest.mark.parametrize("label", ["../x", "a/b", "", "a b", ".x", "a\n", "<b>", "a" * 65])
+def test_labels_are_plain_words(label: str) -> None:
+    with pytest.raises(SceneError, match="label"):
+        scenes.load("step", {"objects.0.label": label})
+
+
+@pytest.mark.parametrize("name", ["../x", "a/b", "", ".", "a\0b"])
+def test_splits_are_plain_words(name: str) -> None:
+    with pytest.raises(DatasetError, match="splits"):
+        Plan.of(scenes.load("step"), 2, splits={name: 1.0})
+
+
+def test_a_records_folder_comes_from_its_number() -> None:
+    # a record has no field that could say another
+    record = Record(index=7, split="../../x", status="made", reason="../../x", drawn="../../x")
+    assert record.folder == "samples/000007"
+    with pytest.raises(ValueError, match="index"):
+        Record.model_validate({"index": "../../x", "split": "train", "status": "made"})
+
+
+def test_texts_from_files_are_text_in_a_report() -> None:
+    evil = "</script><script>alert(1)</script><img src=x onerror=alert(1)>"
+    html = Report(evil, evil, [Section(evil, [Paragraph(evil)])]).html()
+    assert "<script>alert" not in html
+    assert "<img src=x" not in html
+
+
+RUNS_TEXT = {"eval", "exec", "compile", "__import__"}
+LOADS_CODE = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "yaml"}
+
+
+def test_nothing_in_a_file_is_run() -> None:
+    """No eval, no pickle, no shell anywhere in the packages."""
+    found = []
+    for package in ("scenes", "render", "decode", "evaluation", "fringebench"):
+        for source in sorted((ROOT / package).rglob("*.py")):
+            for node in ast.walk(ast.parse(source.read_text("utf-8"))):
+                where = f"{source.relative_to(ROOT)}:{getattr(node, 'lineno', 0)}"
+                if isinstance(node, (ast.Import, ast.ImportFrom)):
+                    names = [a.name for a in node.names] + [getattr(node, "module", None) or ""]
+                    found += [(where, n) for n in names if n.split(".")[0] in LOADS_CODE]
+                if not isinstance(node, ast.Call):
+                    continue
+                called = ast.unparse(node.func)
+                keywords = {k.arg: ast.unparse(k.value) for k in node.keywords}
+                if called in RUNS_TEXT or called in ("os.system", "os.popen"):
+                    found.append((where, called))
+                if called == "np.load" and keywords.get("allow_pickle") != "False":
+                    found.append((where, "np.load"))
+                if keywords.get("shell", "False") != "False":
+                    found.append((where, "shell"))
+    assert found == []
+
+
+PLACES = ("two words", "µ ü 測定", "a'b\"c", "-dash", os.fsdecode(b"bad\xff"))
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_any_folder_will_do(place: str, made: Path, tmp_path: Path, call: Call) -> None:
+    folder = tmp_path / place
+    folder.mkdir()
+    stack, reconstruction = folder / "stack.exr", folder / "r.exr"
+    assert call("expose", made / "transport.exr", "-o", stack)[0] == 0
+    assert call("decode", stack, "-o", reconstruction)[0] == 0
+    status, out, err = call("evaluate", reconstruction, made / "truth.exr", "--json")
+    assert status == 0, err
+    assert out.startswith("{")
+    assert call("export", stack, "-o", folder / "frames")[0] == 0
+    manifest = folder / "frames" / "manifest.toml"
+    # the checks want more pixels than these frames have
+    assert call("import", manifest, "-o", folder / "again.exr", "--force")[0] == 0
+    again = scenes.Stack.read(folder / "again.exr")
+    assert (again.frames == scenes.Stack.read(stack).frames).all()
+
+
+LOCALES = {
+    "C, without UTF-8": {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+    "ASCII": {"PYTHONIOENCODING": "ascii", "LANG": "C"},
+    # where it is installed, a comma is what libraries in C print and expect
+    "German": {"LC_ALL": "de_DE.UTF-8", "LC_NUMERIC": "de_DE.UTF-8"},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="locales of POSIX")
+def test_locales_change_no_byte_and_lose_no_answer(tmp_path: Path) -> None:
+    results = {}
+    for name, env in {"plain": {}, **LOCALES}.items():
+        folder = tmp_path / name
+        folder.mkdir()
+        command = start("run", "step", "-o", "µ out", *SMALL, folder=folder, env=env)
+        status, out, err = finish(command)
+        assert status == 0, (name, err)
+        assert "step_height" in out
+        (where,) = folder.iterdir()
+        results[name] = {
+            p.name: p.read_bytes()
+            for p in where.iterdir()
+            if p.suffix in (".exr", ".toml", ".json", ".ply")
+        }
+    for name in LOCALES:
+        assert results[name] == results["plain"], name
