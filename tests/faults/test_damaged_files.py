@@ -57,7 +57,7 @@ def test_damage_is_an_error_of_the_project(name: str, tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TARGETS)
 def test_much_damage_is_an_error_of_the_project(name: str, tmp_path: Path) -> None:
-    _damage(name, tmp_path, 300)
+    _damage(name, tmp_path, 200)
 
 
 def _damage(name: str, folder: Path, examples: int) -> None:
