@@ -238,12 +238,17 @@ BUILT_IN = (
 
 def strategies(names: Sequence[str] | None = None) -> tuple[Strategy, ...]:
     """The strategies of those names, all by default: the built-in ones, and every foreign fusion rule on the reference's
-    exposures. Raises `ScoreError` for an unknown name.
+    exposures. Raises `ScoreError` for an unknown name, or for no name at all.
     """
     known = {strategy.name: strategy for strategy in BUILT_IN}
     for rule in decode.rules():
         known.setdefault(rule, Strategy(rule, ladder, rule, "another distribution's rule"))
-    for name in names or ():
+    chosen = dict.fromkeys(known if names is None else names)
+    if not chosen:
+        raise ScoreError(
+            f"no strategy is named: leave the choice out for all, or name some of {', '.join(known)}"
+        )
+    for name in chosen:
         if name not in known:
             raise ScoreError(f"unknown strategy '{name}': {nearest(name, known)}")
-    return tuple(known[name] for name in dict.fromkeys(names or known))
+    return tuple(known[name] for name in chosen)

@@ -92,17 +92,19 @@ def list_scenes(
     schema: Annotated[
         bool, typer.Option("--schema", help="Print the JSON schema of scene files.")
     ] = False,
+    settings: Settings = [],  # noqa: B006
     as_json: AsJson = False,
 ) -> None:
     """List the shipped scenes, print one's TOML, or print the schema."""
     if schema:
         _print_json(scenes.schema())
     elif name:
-        text = scenes.source(name)
         if as_json:
-            _print_json(scenes.parse(text, where=name).model_dump(mode="json"))
+            _print_json(scenes.load(name, parse_overrides(settings)).model_dump(mode="json"))
+        elif settings:
+            sys.stdout.write(scenes.dumps(scenes.load(name, parse_overrides(settings))))
         else:
-            sys.stdout.write(text)
+            sys.stdout.write(scenes.source(name))
     else:
         listed = {n: scenes.load(n).description for n in scenes.shipped()}
         if as_json:
@@ -130,6 +132,7 @@ def render_scene(
         int | None, typer.Option(help="Surfaces light may meet; 1: direct only.", min=1)
     ] = None,
     progress: ShowProgress = Mode.AUTO,
+    as_json: AsJson = False,
 ) -> None:
     """Trace a scene's light transport, once, for all its patterns."""
     loaded = scenes.load(scene, parse_overrides(settings))
@@ -142,6 +145,9 @@ def render_scene(
     if truth:
         with steps.step("truth"):
             render.truth(loaded, transport).write(truth)
+    if as_json:
+        written = {"transport": str(output), "truth": str(truth) if truth else None}
+        _print_json(written | {"samples": transport.samples, "depth": transport.depth})
 
 
 @app.command(
@@ -155,14 +161,18 @@ def expose(
     ] = [],  # noqa: B006
     seed: Seed = 0,
     progress: ShowProgress = Mode.AUTO,
+    as_json: AsJson = False,
 ) -> None:
     """Turn transport into frames of digital numbers: exposures, noise, clipping."""
     import render
 
     light = render.Transport.read(transport)
-    exposures = scenes.Exposures(times_ms=tuple(exposure_ms)) if exposure_ms else None
     with _steps(progress).step("expose") as done:
-        render.expose(light, seed=seed, exposures=exposures, progress=done).write(output)
+        stack = render.expose(light, seed=seed, exposures=exposure_ms or None, progress=done)
+        stack.write(output)
+    if as_json:
+        levels = {"exposure_ms": stack.exposure_ms, "saturation_dn": stack.saturation_dn}
+        _print_json({"stack": str(output), "shape": stack.frames.shape} | levels)
 
 
 @app.command(
@@ -189,6 +199,7 @@ def decode_stack(
         typer.Option(metavar="ROW0 ROW1 COL0 COL1", help="Decode only this region."),
     ] = None,
     progress: ShowProgress = Mode.AUTO,
+    as_json: AsJson = False,
 ) -> None:
     """Reconstruct heights from a stack."""
     import decode
@@ -201,14 +212,18 @@ def decode_stack(
             raise DecodeError(f"--gamma '{gamma}': give a number, or 'estimate'") from None
 
     with _steps(progress).step("decode"):
-        decode.reconstruct(
+        reconstruction = decode.reconstruct(
             scenes.Stack.read(stack),
             fusion=fusion,
             unwrap=unwrap,
             height=height,
             gamma=number,
             roi=roi,
-        ).write(output)
+        )
+        reconstruction.write(output)
+    if as_json:
+        told = {"reasons": reconstruction.reason_fractions(), "settings": reconstruction.settings}
+        _print_json({"reconstruction": str(output)} | told)
 
 
 @app.command(epilog="Example: fringebench evaluate reconstruction.exr truth.exr --json")

@@ -34,9 +34,11 @@ def regress(
         bool,
         typer.Option("--update", help="Store the figures in --baseline, unless they got worse."),
     ] = False,
+    seed: Annotated[int, typer.Option(help="First of 16 noise seeds in a row.", min=0)] = 0,
     seeds: Annotated[
-        str, typer.Option(metavar="LIST", help="Noise seeds, one decode each: 0-15 or 3,7,11.")
-    ] = "0-15",
+        str | None,
+        typer.Option(metavar="LIST", help="Noise seeds, one decode each, instead: 0-31 or 3,7,11."),
+    ] = None,
     timeout: Annotated[
         float, typer.Option(help="Seconds a command may take for one stack.")
     ] = 600.0,
@@ -45,8 +47,8 @@ def regress(
     as_json: AsJson = False,
 ) -> None:
     """Hold a decoder against a baseline: exit status 1 if bias, silent errors or coverage got worse."""
+    from fringebench.regress import SEEDS, told
     from fringebench.regress import regress as run
-    from fringebench.regress import told
 
     steps = Steps(Console(stderr=True), progress)
     folder = _prepared(output)
@@ -54,7 +56,7 @@ def regress(
         decoder,
         baseline,
         update=update,
-        seeds=parse_seeds(seeds),
+        seeds=range(seed, seed + len(SEEDS)) if seeds is None else parse_seeds(seeds),
         timeout_s=timeout,
         steps=steps,
     )
@@ -92,12 +94,17 @@ def export(
     projector: Annotated[
         int | None, typer.Option(help="Whose frames, where there are several projectors.")
     ] = None,
+    as_json: AsJson = False,
 ) -> None:
     """Write a stack as numbered PNGs and a manifest, for programs that read images."""
     import scenes
     from fringebench.export import export as run
 
-    Console(highlight=False).print(str(run(scenes.Stack.read(stack), output, projector)))
+    manifest = str(run(scenes.Stack.read(stack), output, projector))
+    if as_json:
+        _print_json({"manifest": manifest})
+    else:
+        Console(highlight=False).print(manifest)
 
 
 def budget(

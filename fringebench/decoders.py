@@ -26,6 +26,7 @@ CALLABLE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 # Names that programs give a height channel, best first.
 HEIGHT_CHANNELS = ("height_mm", "height", "Z", "z", "Y", "R")
 SUFFIXES = (".exr", ".tif", ".tiff", ".npy")
+MAGIC = {b"\x76\x2f\x31\x01": ".exr", b"II*\0": ".tif", b"MM\0*": ".tif", b"\x93NUMPY": ".npy"}
 TIMEOUT_S = 600.0
 
 
@@ -55,7 +56,7 @@ def resolve(spec: str | Callable[[Stack], Any], timeout_s: float = TIMEOUT_S) ->
 
     A command is run without a shell, with ``{stack}`` replaced by a stack EXR's path or ``{manifest}`` by that of a manifest
     among numbered PNGs (see `export`), and ``{output}`` by a path without suffix: it must write the heights there as
-    ``.exr``, ``.tif`` (float) or ``.npy``.
+    EXR, TIFF (float) or NPY, with the suffix ``.exr``, ``.tif`` or ``.npy`` or none.
 
     Raises `DecoderError` for a spec that is neither or cannot be found; the decoder itself, for an answer that is no height
     map, a failed command, or whatever the callable raises.
@@ -131,12 +132,21 @@ def _run(command: str, stack: Stack, timeout_s: float) -> Answer:
             raise DecoderError(
                 f"'{words[0]}' ended with status {done.returncode}: {said[-1] if said else 'it said nothing'}"
             )
+        if output.is_file():
+            output = output.rename(output.with_suffix(_suffix(output)))
         written = [path for path in sorted(folder.glob("heights*")) if path.suffix in SUFFIXES]
         if len(written) != 1:
             raise DecoderError(
                 f"'{words[0]}' wrote {len(written)} of {{output}}{', {output}'.join(SUFFIXES)}: it must write one"
             )
         return _answer(read_heights(written[0]), stack.frames.shape[2:])
+
+
+def _suffix(path: Path) -> str:
+    """The ending that a file's first bytes ask for; none where they are no image's."""
+    with path.open("rb") as file:
+        start = file.read(max(map(len, MAGIC)))
+    return next((suffix for magic, suffix in MAGIC.items() if start.startswith(magic)), "")
 
 
 def read_heights(path: Path) -> Any:
