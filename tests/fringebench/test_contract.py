@@ -1,0 +1,112 @@
+"""The command line as scripts use it: options that are promised, answers in JSON, refusals with status 2."""
+
+import json
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import scenes
+from fringebench.cli import main
+from fringebench.decoders import resolve
+from scenes import PhaseShift, Stack
+from scenes.errors import DecoderError
+from tests.decode.synthetic import calibrated_stack, hills, rig
+
+SMALL = ("--set", "camera.resolution=[64,48]", "--set", "sampling.samples=2")
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a command left behind."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+Run = Callable[..., Done]
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    monkeypatch.chdir(tmp_path)
+
+    def call(*words: str) -> Done:
+        monkeypatch.setattr(sys, "argv", ["fringebench", *words])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        code = ended.value.code
+        assert code is None or isinstance(code, int)
+        return Done(code or 0, *capsys.readouterr())
+
+    return call
+
+
+def test_every_stage_answers_in_json_and_takes_what_the_design_says(
+    run: Run, tmp_path: Path
+) -> None:
+    def answer(*words: str) -> Any:
+        done = run(*words, "--json")
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout)
+
+    traced = answer("render", "step", *SMALL, "--seed", "3", "--truth", "truth.exr")
+    assert traced == {"transport": "transport.exr", "truth": "truth.exr", "samples": 2, "depth": 3}
+    exposed = answer("expose", "transport.exr", "--seed", "3")
+    assert exposed["shape"] == list(Stack.read(tmp_path / "stack.exr").frames.shape)
+    decoded = answer("decode", "stack.exr")
+    assert sum(decoded["reasons"].values()) == pytest.approx(1.0)
+    assert answer("evaluate", "reconstruction.exr", "truth.exr")["scene"] == "step"
+    frames = answer("export", "stack.exr", "-o", "frames")
+    assert (tmp_path / frames["manifest"]).is_file()
+    assert answer("scenes", "step", *SMALL)["camera"]["resolution"] == [64, 48]
+    printed = run("scenes", "step", *SMALL)
+    assert scenes.parse(printed.stdout).camera.resolution == (64, 48)
+
+
+def test_exposure_times_that_cannot_be_are_refused_without_touching_the_stack(
+    run: Run, tmp_path: Path
+) -> None:
+    assert run("render", "step", *SMALL).returncode == 0
+    (tmp_path / "stack.exr").write_text("precious")
+    for time in ("0", "-3", "nan", "inf"):
+        done = run("expose", "transport.exr", "--exposure-ms", time)
+        assert done.returncode == 2
+        assert "each above 0" in done.stderr
+        assert "Traceback" not in done.stderr
+    assert (tmp_path / "stack.exr").read_text() == "precious"
+
+
+def test_an_empty_list_of_strategies_is_no_wish_for_all(run: Run) -> None:
+    done = run("compare", "step", *SMALL, "--strategies", ",")
+    assert done.returncode == 2
+    assert "no strategy is named" in done.stderr
+
+
+WRITERS = {
+    "exr": "import OpenEXR; OpenEXR.File({}, {'height_mm': h}).write(output)",
+    "npy": "np.save(open(output, 'wb'), h)",
+    "tif": "import cv2; open(output, 'wb').write(cv2.imencode('.tif', h)[1].tobytes())",
+}
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+def test_a_program_may_write_its_heights_to_the_very_path_it_is_given(
+    kind: str, tmp_path: Path
+) -> None:
+    program = tmp_path / "decoder.py"
+    program.write_text(
+        "import sys; import numpy as np; output = sys.argv[2]\n"
+        f"h = np.arange(12, dtype=np.float32).reshape(3, 4)\n{WRITERS[kind]}\n"
+    )
+    stack = calibrated_stack(rig(size=(4, 3)), hills((4, 3)), PhaseShift(periods_px=(16.0,)))
+    answer = resolve(f"{sys.executable} {program} {{stack}} {{output}}")(stack)
+    assert (answer.height_mm == np.arange(12).reshape(3, 4)).all()
+    program.write_text("import sys; open(sys.argv[2], 'w').write('heights')")
+    with pytest.raises(DecoderError, match="wrote 0"):
+        resolve(f"{sys.executable} {program} {{stack}} {{output}}")(stack)
