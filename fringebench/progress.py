@@ -16,6 +16,8 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from fringebench.interrupts import patient
+
 # Seconds between plain lines.
 PLAIN_S = 3.0
 
@@ -51,10 +53,18 @@ class Steps:
 
     @contextmanager
     def step(self, name: str) -> Iterator[Report]:
-        """Show `name` while the block runs; the block may report how far it is."""
+        """Show `name` while the block runs; the block may report how far it is.
+
+        Ctrl-C waits for the next report or the block's end (`fringebench.interrupts`).
+        """
         start = time.perf_counter()
-        with self._shown(name) as report:
-            yield report
+        with patient() as waiting, self._shown(name) as report:
+
+            def told(share: float) -> None:
+                report(share)
+                waiting.check()
+
+            yield told
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
 
     @contextmanager
@@ -76,8 +86,9 @@ class Steps:
         if self._bars is None:
             # One display for steps within steps: a terminal has room for one.
             self._bars = bars(console)
-            self._bars.start()
         shown = self._bars
+        if outermost:
+            shown.start()
         task = shown.add_task(name, total=None)
         try:
             yield lambda share: shown.update(task, completed=share, total=1.0)

@@ -26,7 +26,7 @@ TILE_NUMBERS = 1 << 24
 LABEL_BYTES = 24
 # Between tiles progress is told and an interrupt is heard. Starting one costs some 15 ms.
 TILE_S = 1.0
-FIRST_TILE_PIXELS = 1 << 14
+FIRST_TILE_PATHS = 1 << 21
 
 
 def trace(
@@ -39,11 +39,11 @@ def trace(
 ) -> Transport:
     """Trace the scene's light transport once, for all its patterns.
 
-    About `samples` light paths per pixel (None: the scene's) of up to `depth` surface vertices (None: the scene's; 1:
-    direct light only): fewer where little light is indirect, more where much is. They start from places that lie in
-    pairs opposite about the pixel's centre, which makes the phase of direct light nearly free of noise; a quarter as
-    many as paths where direct light is smooth and no device has a lens. Multiples of 16 are best. The same seed gives
-    the same bits on one machine. `footprint` narrows the pixels
+    `samples` (None: the scene's) is how finely light is sampled. Direct light comes through as many places in a pixel,
+    in pairs opposite about its centre, which makes its phase nearly free of noise; a quarter as many where it is smooth
+    and no device has a lens. Paths on, of up to `depth` surface vertices (None: the scene's; 1: direct light only), are
+    half as many on average: fewer where little light is indirect, at most twice as many where much is. Multiples of 16
+    are best. The same seed gives the same bits on one machine. `footprint` narrows the pixels
     about their centres, 0 to points: to see what their width costs. `progress` is called every second or so with the
     share that is done.
 
@@ -108,7 +108,7 @@ def _traced(
     ambient = np.zeros((height, width), np.float32)
     most = max(1, TILE_NUMBERS // (width * (2 * sum(channels) + 1)))
     # Tiles change nothing but this: a lane knows its pixel, not its tile. The first one tells what a row costs.
-    rows = min(most, max(1, height // 16, FIRST_TILE_PIXELS // width))
+    rows = min(most, max(1, FIRST_TILE_PATHS // (width * samples)))
     bottom = 0
     while bottom < height:
         start = time.perf_counter()

@@ -87,7 +87,7 @@ def test_tracing_tells_no_progress_or_tiles_change_the_light(
     told: list[float] = []
     whole = render.trace(scene)
     monkeypatch.setattr("render.tracer.TILE_S", 0.0)
-    monkeypatch.setattr("render.tracer.FIRST_TILE_PIXELS", 64 * 8)
+    monkeypatch.setattr("render.tracer.FIRST_TILE_PATHS", 64 * 8 * 2)
     tiled = render.trace(scene, progress=told.append)
     assert (whole.total == tiled.total).all()
     assert told[-1] == 1.0
@@ -171,3 +171,33 @@ def test_a_terminal_is_left_without_its_cursor(tmp_path: Path) -> None:
     assert running.wait(timeout=60) == 130
     assert b"interrupted" in text
     assert text.rindex(b"\x1b[?25h") > text.rindex(b"\x1b[?25l")
+
+
+def test_an_interrupt_hits_native_code_or_is_lost() -> None:
+    """Raised inside a callback of native code it would abort the process: it waits for the next report."""
+    before = signal.getsignal(signal.SIGINT)
+    reached = []
+    with pytest.raises(KeyboardInterrupt), Steps().step("outer"), Steps().step("work") as done:
+        os.kill(os.getpid(), signal.SIGINT)
+        reached.append("after the signal")
+        done(0.5)
+        reached.append("after the report")
+    assert reached == ["after the signal"]
+    with pytest.raises(KeyboardInterrupt), Steps().step("work"):
+        os.kill(os.getpid(), signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_what_an_interrupt_broke_is_told_as_an_error() -> None:
+    with pytest.raises(KeyboardInterrupt), Steps().step("child"):
+        os.kill(os.getpid(), signal.SIGINT)
+        raise ValueError("the child process was interrupted too")
+    with pytest.raises(ValueError, match="nobody"), Steps().step("child"):
+        raise ValueError("nobody interrupted")
+
+
+def test_asked_twice_it_does_not_wait() -> None:
+    with pytest.raises(KeyboardInterrupt), Steps().step("work"):
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)
+        pytest.fail("the second signal was not raised at once")
