@@ -25,7 +25,6 @@ import scenes
 from fringebench.datasets.build import build
 from fringebench.datasets.plan import Plan
 
-
 TARGET = 1.6
 
 
