@@ -130,7 +130,8 @@ class Emva(Digitiser):
 
     def mean_electrons(self, radiance: ArrayLike, exposure_ms: float) -> NDArray[np.float64]:
         """Mean electrons collected, dark current included, before the full well clips."""
-        light = self.quantum_efficiency * self.photons_per_radiance_ms * exposure_ms
+        # Far past any full well, and finite: no light stays none however long the exposure.
+        light = min(self.quantum_efficiency * self.photons_per_radiance_ms * exposure_ms, 1e200)
         dark = self.dark_current_e_per_s * exposure_ms * 1e-3
         return np.asarray(radiance, dtype=np.float64) * light + dark
 
