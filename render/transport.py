@@ -11,7 +11,7 @@ from scenes import exr
 from scenes.basis import Basis, Channel
 from scenes.errors import FileError, RenderError, SceneError
 from scenes.load import dumps, parse
-from scenes.scene import Scene
+from scenes.scene import Sampling, Scene
 
 KIND = "transport"
 
@@ -89,6 +89,7 @@ class Transport:
         """Read a transport file; raises `FileError` on anything but a whole one of this version."""
         channels, meta = exr.read(path, KIND)
         try:
+            sampling = Sampling(samples=meta["samples"], depth=meta["depth"])
             bases = tuple(
                 Basis(
                     tuple(
@@ -113,8 +114,8 @@ class Transport:
                 bases,
                 parse(str(meta["scene"]), where=str(path)),
                 int(meta["seed"]),
-                int(meta["samples"]),
-                int(meta["depth"]),
+                sampling.samples,
+                sampling.depth,
             )
         except (KeyError, TypeError, ValueError, SceneError) as error:
             raise FileError(
