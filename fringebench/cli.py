@@ -27,6 +27,7 @@ from scenes.paths import as_file_name
 
 # What a shell reports for a command that Ctrl-C ended.
 INTERRUPTED = 130
+NAIVE_TITLE = "one exposure, saturation ignored (what the chapter warns of)"
 
 
 class _Commands(TyperGroup):
@@ -78,7 +79,7 @@ def run(
     from fringebench.tables import feature_table, fused_title, score_table
 
     console = _console()
-    console.print(score_table(result.naive, _naive_title(result.stack)))
+    console.print(score_table(result.naive, NAIVE_TITLE))
     console.print(score_table(result.score, fused_title(len(result.stack.exposure_ms), fusion)))
     if result.score.features:
         console.print(feature_table(result.score))
@@ -335,10 +336,6 @@ def _steps(mode: Mode) -> Steps:
 
 def _print_json(value: Any) -> None:
     sys.stdout.write(json.dumps(value, indent=2, allow_nan=False) + "\n")
-
-
-def _naive_title(stack: scenes.Stack) -> str:
-    return "one exposure, saturation ignored (what the chapter warns of)"
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from evaluation.figures import figures
 from evaluation.pictures import frames_picture, phase_figures, reason_map, scene_picture
 from evaluation.report import Block, Grid, Paragraph, Picture, Report, Section, Surface
 from fringebench.provenance import provenance
-from fringebench.tables import fused_title
+from fringebench.tables import fused_title, number, score_rows
 
 if TYPE_CHECKING:
     from fringebench.run import Run
@@ -108,30 +108,11 @@ def _scores(run: "Run") -> list[Block]:
 
 
 def _score_grid(score: evaluation.Score, caption: str) -> Grid:
-    rows = [
-        [
-            label,
-            str(region.pixels),
-            number(region.coverage, 100, 1),
-            number(region.bias_mm, 1000, 1),
-            number(region.rms_mm, 1000, 1),
-            number(region.predicted_sd_mm, 1000, 1),
-            number(region.p95_abs_mm, 1000, 1),
-            number(region.outlier_fraction, 100, 2),
-        ]
-        for label, region in score.regions.items()
-    ]
-    return Grid(SCORE_COLUMNS, rows, caption)
+    return Grid(SCORE_COLUMNS, score_rows(score), caption)
 
 
 def _upper(text: str) -> str:
     return text[0].upper() + text[1:]
-
-
-def number(value: float | None, scale: float, digits: int) -> str:
-    """A figure in the unit asked for; a dash where there is none."""
-    # Adding 0.0 makes a rounded -0.0 plain.
-    return "-" if value is None else f"{round(value * scale, digits) + 0.0:.{digits}f}"
 
 
 def _surface(rec: decode.Reconstruction, truth: scenes.Truth) -> Surface:

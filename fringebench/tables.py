@@ -20,6 +20,23 @@ def fused_title(exposures: int, fusion: str) -> str:
     return f"all {exposures} exposures, fused by {fusion}"
 
 
+def score_rows(score: evaluation.Score) -> list[list[str]]:
+    """One row per region: label, pixels, valid %, then bias, RMS, predicted and p95 in um, and outliers in %."""
+    return [
+        [
+            label,
+            str(region.pixels),
+            number(region.coverage, 100, 1),
+            number(region.bias_mm, 1000, 1),
+            number(region.rms_mm, 1000, 1),
+            number(region.predicted_sd_mm, 1000, 1),
+            number(region.p95_abs_mm, 1000, 1),
+            number(region.outlier_fraction, 100, 2),
+        ]
+        for label, region in score.regions.items()
+    ]
+
+
 def score_table(score: evaluation.Score, title: str) -> Table:
     """One row per region: how much was measured, how wrong it is, how wrong it was expected to be."""
     table = Table(title=title, title_justify="left")
@@ -34,17 +51,8 @@ def score_table(score: evaluation.Score, title: str) -> Table:
         "outl. %",
     ):
         table.add_column(name, justify="right")
-    for label, region in score.regions.items():
-        table.add_row(
-            label,
-            f"{region.pixels}",
-            _number(region.coverage, 100, 1),
-            _number(region.bias_mm, 1000, 1),
-            _number(region.rms_mm, 1000, 1),
-            _number(region.predicted_sd_mm, 1000, 1),
-            _number(region.p95_abs_mm, 1000, 1),
-            _number(region.outlier_fraction, 100, 2),
-        )
+    for row in score_rows(score):
+        table.add_row(*row)
     return table
 
 
@@ -60,9 +68,9 @@ def feature_table(score: evaluation.Score) -> Table:
         difference = measured - truth if measured is not None and truth is not None else None
         table.add_row(
             label,
-            _number(measured, 1, 4),
-            _number(truth, 1, 4),
-            _number(difference, 1000, 1) if both else "-",
+            number(measured, 1, 4),
+            number(truth, 1, 4),
+            number(difference, 1000, 1) if both else "-",
         )
     return table
 
@@ -88,14 +96,14 @@ def budget_table(found: Budget) -> Table:
             table.add_row(
                 label if i == 0 else "",
                 name,
-                _number(_root(alone), 1000, 2),
-                _number(alone / total if alone is not None and total else None, 100, 1),
-                _number(_root(removed), 1000, 2),
-                _number(bias, 1000, 2),
+                number(_root(alone), 1000, 2),
+                number(alone / total if alone is not None and total else None, 100, 1),
+                number(_root(removed), 1000, 2),
+                number(bias, 1000, 2),
                 f"{coverage * 100:+.1f}" if coverage else "",
             )
         table.add_row(
-            "", "[bold]total[/]", _number(_root(total), 1000, 2), "", "", "", _number(region.coverage, 100, 1),
+            "", "[bold]total[/]", number(_root(total), 1000, 2), "", "", "", number(region.coverage, 100, 1),
             end_section=True,
         )  # fmt: skip
     return table
@@ -116,9 +124,9 @@ def chapter_table(result: "ChapterResult") -> Table:
     for row in result.rows:
         table.add_row(
             row.name,
-            _number(row.chapter, 1, 4),
-            _number(row.theory, 1, 4),
-            _number(row.measured, 1, 4),
+            number(row.chapter, 1, 4),
+            number(row.theory, 1, 4),
+            number(row.measured, 1, 4),
             row.note,
         )
     return table
@@ -138,6 +146,7 @@ def doctor_table(diagnosis: Diagnosis) -> Table:
     return table
 
 
-def _number(value: float | None, scale: float, digits: int) -> str:
+def number(value: float | None, scale: float, digits: int) -> str:
+    """A figure in the unit asked for; a dash where there is none."""
     # Adding 0.0 makes a rounded -0.0 plain.
     return "-" if value is None else f"{round(value * scale, digits) + 0.0:.{digits}f}"
