@@ -9,7 +9,6 @@ import pytest
 
 import render
 import scenes
-from fringebench.cli import main
 from fringebench.run import run
 from tests.faults.commands import SMALL
 
@@ -31,20 +30,11 @@ def transport(made: Path) -> render.Transport:
 
 
 @pytest.fixture
-def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Call:
-    """Run the command line in this process, small; returns exit status, stdout, stderr."""
+def call(call: Call) -> Call:
+    """Run the command line, `small` where asked."""
 
     def command(*words: str | Path, small: bool = False) -> tuple[int, str, str]:
-        monkeypatch.setattr(
-            sys, "argv", ["fringebench", *map(str, words), *(SMALL if small else ())]
-        )
-        try:
-            main()
-            status = 0
-        except SystemExit as leaving:
-            status = int(leaving.code or 0)
-        out, err = capsys.readouterr()
-        return status, out, err
+        return call(*words, *(SMALL if small else ()))
 
     return command
 

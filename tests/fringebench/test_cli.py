@@ -10,27 +10,9 @@ import numpy as np
 import pytest
 
 import scenes
-from fringebench.cli import main
 
 SMALL = ["--set", "camera.resolution=[64,48]", "--set", "sampling.samples=4"]
 Call = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Call:
-    """Run the command line in this process; returns exit status, stdout, stderr."""
-
-    def run(*words: str | Path) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["fringebench", *map(str, words)])
-        try:
-            main()
-            status = 0
-        except SystemExit as leaving:
-            status = int(leaving.code or 0)
-        out, err = capsys.readouterr()
-        return status, out, err
-
-    return run
 
 
 def test_run_leaves_every_file_and_prints_the_scores(call: Call, tmp_path: Path) -> None:

@@ -10,7 +10,6 @@ import pytest
 
 import fringebench
 import scenes
-from fringebench.cli import main
 from fringebench.datasets.build import build, repair
 from fringebench.datasets.plan import Plan
 from scenes.errors import DatasetError
@@ -19,20 +18,9 @@ Call = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture
-def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Call:
-    """Run ``fringebench dataset`` in this process; returns exit status, stdout, stderr."""
-
-    def run(*words: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["fringebench", "dataset", *map(str, words)])
-        try:
-            main()
-            status = 0
-        except SystemExit as leaving:
-            status = int(leaving.code or 0)
-        out, err = capsys.readouterr()
-        return status, out, err
-
-    return run
+def call(call: Call) -> Call:
+    """Run ``fringebench dataset``."""
+    return lambda *words: call("dataset", *words)
 
 
 @pytest.fixture(scope="module")
