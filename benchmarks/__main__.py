@@ -1,0 +1,108 @@
+"""Run the benchmarks: `python -m benchmarks [--quick] [--only NAME ...] [--json FILE] [--markdown FILE]`.
+
+Exit status: 0; 1 if a benchmark failed, or a full run missed a target; 2 for bad use. `--quick` takes small sizes, so its
+targets are not judged.
+"""
+
+import argparse
+import importlib
+import importlib.util
+import json
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from benchmarks import machine
+from benchmarks.process import ProgramFailedError
+from benchmarks.result import SCHEMA, Result, markdown, not_run, table
+from scenes.errors import FringebenchError
+
+MODULES = {
+    "cold": "Cold start",
+    "trace": "Light, at equal samples",
+    "quality": "Light, at equal phase error",
+    "large": "Light, four million pixels",
+    "cost": "What the pass costs against",
+    "plate": "A cap and a step on a plate",
+    "expose": "Exposing",
+    "decode": "Decoding",
+    "outside": "Decoding, against other people's decoders",
+    "fusion": "Decoding several exposures",
+    "exr": "Files",
+    "run": "`fringebench run`, start to report",
+    "memory": "Peak memory",
+    "dataset": "Data sets",
+}
+
+
+def measured(name: str, quick: bool) -> tuple[list[Result], bool]:
+    """A benchmark's results, and whether it ran; one that fails leaves a row that says why."""
+    module = importlib.import_module(f"benchmarks.{name}")
+    try:
+        return module.measure(quick), True
+    except (FringebenchError, ProgramFailedError, AssertionError) as error:
+        return [not_run(name, str(error))], False
+
+
+def main() -> int:
+    """Run what is asked for, print it, write it."""
+    known = [name for name in MODULES if importlib.util.find_spec(f"benchmarks.{name}")]
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--quick", action="store_true", help="small sizes: under three minutes")
+    parser.add_argument(
+        "--only", action="append", choices=known, metavar="NAME", help=", ".join(known)
+    )
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="results as JSON (docs/benchmarks.md)"
+    )
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="tables as Markdown")
+    given = parser.parse_args()
+    progress, console = Console(stderr=True), Console()
+    about = machine.describe()
+    about["load_before"] = machine.load()
+    made = datetime.now(UTC).isoformat(timespec="seconds")
+    found: dict[str, list[Result]] = {}
+    spent: dict[str, float] = {}
+    whole = True
+    for name in given.only or known:
+        start = time.perf_counter()
+        found[name], ran = measured(name, given.quick)
+        spent[name] = round(time.perf_counter() - start, 1)
+        whole &= ran
+        progress.print(f"{name}: {spent[name]:.0f} s", highlight=False)
+    about["load_after"] = machine.load()
+    head = (
+        f"{made}{', quick: small sizes, no target judged' if given.quick else ''}. {machine.sentence(about)}. "
+        f"Load {about['load_before']} before, {about['load_after']} after; {sum(spent.values()):.0f} s."
+    )
+    console.print(head, highlight=False)
+    for name, results in found.items():
+        console.print(table(MODULES[name].replace("`", ""), results))
+    if given.json:
+        everything: dict[str, Any] = {
+            "schema": SCHEMA,
+            "made": made,
+            "quick": given.quick,
+            "machine": about,
+            "seconds": spent,
+            "results": [
+                {"benchmark": name, **result.to_dict()} for name in found for result in found[name]
+            ],
+        }
+        given.json.write_text(json.dumps(everything, indent=2, allow_nan=False) + "\n", "utf-8")
+    if given.markdown:
+        tables = [markdown(MODULES[name], results) for name, results in found.items()]
+        given.markdown.write_text("\n".join([head, "", *tables]), "utf-8")
+    missed = [r for results in found.values() for r in results if r.met is False]
+    return int(not whole or bool(missed and not given.quick))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,76 @@
+"""What the numbers were measured on."""
+
+import importlib.metadata
+import os
+import platform
+import subprocess
+from pathlib import Path
+from typing import Any
+
+from scenes import backend
+
+PACKAGES = (
+    "fringebench",
+    "mitsuba",
+    "drjit",
+    "numpy",
+    "scipy",
+    "opencv-python-headless",
+    "OpenEXR",
+)
+
+
+def describe() -> dict[str, Any]:
+    """The machine, in JSON's types."""
+    chosen = backend.select()
+    return {
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "usable_cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None,
+        "memory_gb": round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1),
+        "system": platform.platform(),
+        "python": platform.python_version(),
+        "packages": {name: importlib.metadata.version(name) for name in PACKAGES},
+        "variant": chosen.variant,
+        "llvm": chosen.llvm.version if chosen.llvm else None,
+        "device": _device() if chosen.name == "cuda" else None,
+    }
+
+
+def load() -> float:
+    """Programs that wanted a core, averaged over the last minute."""
+    return round(os.getloadavg()[0], 2)
+
+
+def sentence(machine: dict[str, Any]) -> str:
+    """One paragraph."""
+    packages = ", ".join(f"{name} {version}" for name, version in machine["packages"].items())
+    device = f", {machine['device']}" if machine["device"] else ""
+    return (
+        f"{machine['processor']}, {machine['cores']} cores, {machine['memory_gb']} GB{device}; {machine['system']}; "
+        f"Python {machine['python']}, {packages}; {machine['variant']}, LLVM {machine['llvm']}"
+    )
+
+
+def _processor() -> str:
+    """The model's name; on virtual machines with family and model, for the name may be bare."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().split("\n\n")[0].splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    told = {key.strip(): value.strip() for key, _, value in (line.partition(":") for line in lines)}
+    if "model name" not in told:
+        return platform.machine()
+    return f"{told['model name']} (family {told.get('cpu family')}, model {told.get('model')})"
+
+
+def _device() -> str:
+    """The CUDA device's name."""
+    try:
+        told = subprocess.run(
+            ["nvidia-smi", "--query-gpu=name", "--format=csv,noheader"],
+            capture_output=True, text=True, check=True, timeout=30,
+        )  # fmt: skip
+    except (OSError, subprocess.SubprocessError):
+        return "a CUDA device"
+    return told.stdout.splitlines()[0].strip()

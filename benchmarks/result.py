@@ -1,0 +1,127 @@
+"""What a benchmark finds, and how it is shown: a table, Markdown, JSON."""
+
+import argparse
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+from rich.console import Console
+from rich.table import Table
+
+SCHEMA = 1
+Sense = Literal["at least", "at most"]
+
+
+@dataclass(frozen=True)
+class Target:
+    """What is promised of a result's ratio, or of its value."""
+
+    of: Literal["ratio", "value"]
+    sense: Sense
+    limit: float
+
+    def met_by(self, number: float) -> bool:
+        """Whether that number keeps the promise."""
+        return number >= self.limit if self.sense == "at least" else number <= self.limit
+
+
+@dataclass(frozen=True)
+class Result:
+    """One measurement beside its baseline. `value` None: not run, and `note` says why."""
+
+    name: str
+    value: float | None
+    """By the clock on the wall, where it is a time or a rate."""
+    unit: str
+    baseline: str = ""
+    """What `baseline_value` was measured of, in the same run."""
+    baseline_value: float | None = None
+    ratio: float | None = None
+    """Median of the ratios of paired runs, where there are pairs."""
+    reads: Literal["x faster", "x baseline"] = "x baseline"
+    """`x faster`: baseline over value; `x baseline`: value over baseline."""
+    processor_value: float | None = None
+    """`value` from processor time, all threads together: what other programs hardly change."""
+    processor_baseline: float | None = None
+    processor_ratio: float | None = None
+    target: Target | None = None
+    note: str = ""
+
+    @property
+    def met(self) -> bool | None:
+        """Whether the target is met; None without one, or if it was not run."""
+        number = self.ratio if self.target and self.target.of == "ratio" else self.value
+        return None if self.target is None or number is None else self.target.met_by(number)
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self) | {"met": self.met}
+
+
+def not_run(name: str, why: str) -> Result:
+    """A row that says why there is no number."""
+    return Result(name, None, "", note=f"not run: {why}")
+
+
+def digits(number: float | None, unit: str = "") -> str:
+    """Three significant digits, without exponent where that is readable."""
+    if number is None:
+        return ""
+    size = abs(number)
+    text = f"{number:.0f}" if 100 <= size < 1e6 else f"{number:#.3g}".rstrip(".")
+    return f"{text} {unit}".strip()
+
+
+def cells(result: Result) -> tuple[str, ...]:
+    """A result's row: name, value, baseline, ratio, ratio by processor time, target."""
+    target = result.target
+    promised = ""
+    if target:
+        unit = result.unit if target.of == "value" else ""
+        verdict = {True: "met", False: "MISSED", None: "?"}[result.met]
+        promised = f"{'>=' if target.sense == 'at least' else '<='} {target.limit:g} {unit}".strip()
+        promised += f": {verdict}"
+    beside = digits(result.baseline_value, result.unit)
+    return (
+        result.name,
+        "not run" if result.value is None else digits(result.value, result.unit),
+        f"{result.baseline}: {beside}" if beside else result.baseline,
+        "" if result.ratio is None else f"{digits(result.ratio)} {result.reads}",
+        digits(result.processor_ratio),
+        promised,
+    )
+
+
+COLUMNS = ("measured", "value", "baseline, same run", "ratio", "by processor", "target")
+
+
+def table(title: str, results: Sequence[Result]) -> Table:
+    """For the terminal."""
+    shown = Table(*COLUMNS, title=title, title_justify="left")
+    for result in results:
+        style = "bold red" if result.met is False else None
+        shown.add_row(*cells(result), style=style)
+        if result.note:
+            shown.add_row(f"  [dim]{result.note}[/]")
+    return shown
+
+
+def markdown(title: str, results: Sequence[Result]) -> str:
+    """The same as Markdown, notes below."""
+    lines = [f"### {title}", "", "| " + " | ".join(COLUMNS) + " |", "|---" * len(COLUMNS) + "|"]
+    lines += ["| " + " | ".join(cells(result)) + " |" for result in results]
+    notes = [f"- {result.name}: {result.note}" for result in results if result.note]
+    return "\n".join([*lines, "", *notes, *([""] if notes else [])])
+
+
+def main(name: str, doc: str | None, measure: Callable[[bool], list[Result]]) -> int:
+    """One benchmark as a program: prints its table; status 1 if a target is missed by a full run."""
+    parser = argparse.ArgumentParser(
+        description=doc, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--quick", action="store_true", help="small sizes; targets are not judged")
+    quick = parser.parse_args().quick
+    results = measure(quick)
+    console = Console()
+    console.print(table(name, results))
+    return int(not quick and any(result.met is False for result in results))

@@ -1,0 +1,129 @@
+"""Timing for a machine that others use too: works take turns, and ratios are medians of each round's ratio.
+
+Processor time stands beside the clock's: it counts all threads, and what others do hardly changes it.
+"""
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.result import Result, Target
+
+Work = Callable[[], object]
+
+
+@dataclass(frozen=True)
+class Turns:
+    """Seconds (round, work)."""
+
+    wall_s: NDArray[np.float64]
+    processor_s: NDArray[np.float64]
+
+    def faster(
+        self,
+        name: str,
+        baseline: str,
+        ours: int = 0,
+        theirs: int = 1,
+        unit: str = "ms",
+        target: Target | None = None,
+        note: str = "",
+    ) -> Result:
+        """How much faster one work is than another."""
+        scale = {"s": 1.0, "ms": 1e3}[unit]
+        wall, processor = self.wall_s, self.processor_s
+        return Result(
+            name,
+            scale * float(np.median(wall[:, ours])),
+            unit,
+            baseline,
+            scale * float(np.median(wall[:, theirs])),
+            float(np.median(wall[:, theirs] / wall[:, ours])),
+            "x faster",
+            scale * float(np.median(processor[:, ours])),
+            scale * float(np.median(processor[:, theirs])),
+            float(np.median(processor[:, theirs] / processor[:, ours])),
+            target,
+            note,
+        )
+
+    def slower(self, *args: Any, **kwargs: Any) -> Result:
+        """The same as `faster`, the ratio the other way: how many times the baseline's time a work takes."""
+        one = self.faster(*args, **kwargs)
+        ours, theirs = kwargs.get("ours", 0), kwargs.get("theirs", 1)
+        return replace(
+            one,
+            ratio=float(np.median(self.wall_s[:, ours] / self.wall_s[:, theirs])),
+            reads="x baseline",
+            processor_ratio=float(
+                np.median(self.processor_s[:, ours] / self.processor_s[:, theirs])
+            ),
+        )
+
+    def rate(
+        self,
+        name: str,
+        baseline: str,
+        amounts: Sequence[float],
+        unit: str,
+        ours: int = 0,
+        theirs: int = 1,
+        target: Target | None = None,
+        note: str = "",
+    ) -> Result:
+        """Amount a second (`amounts`: of each work) beside another's; by processor time, of each core in use."""
+        mine, other = amounts[ours], amounts[theirs]
+        wall, processor = self.wall_s, self.processor_s
+        return Result(
+            name,
+            mine / float(np.median(wall[:, ours])),
+            unit,
+            baseline,
+            other / float(np.median(wall[:, theirs])),
+            float(np.median((mine / wall[:, ours]) / (other / wall[:, theirs]))),
+            "x baseline",
+            mine / float(np.median(processor[:, ours])),
+            other / float(np.median(processor[:, theirs])),
+            float(np.median((mine / processor[:, ours]) / (other / processor[:, theirs]))),
+            target,
+            note,
+        )
+
+
+def take_turns(works: Sequence[Work], rounds: int, warm: bool = True) -> Turns:
+    """Time each work in every round; before, `warm`, each once untimed."""
+    if warm:
+        for work in works:
+            work()
+    spent = np.array([[seconds(work) for work in works] for _ in range(rounds)])
+    return Turns(spent[..., 0], spent[..., 1])
+
+
+def seconds(work: Work) -> tuple[float, float]:
+    """By the wall's clock and of the processor."""
+    wall, processor = time.perf_counter(), time.process_time()
+    work()
+    # The clock of processor time ticks in microseconds at worst; a work of none would make no ratio.
+    return time.perf_counter() - wall, max(time.process_time() - processor, 1e-6)
+
+
+class Copy:
+    """Copies an array into another on every core: what the memory can do, read and written bytes counted."""
+
+    def __init__(self, array: NDArray[Any]) -> None:
+        cores = os.cpu_count() or 1
+        self._from = np.array_split(array.reshape(-1), cores)
+        self._to = np.array_split(np.empty_like(array).reshape(-1), cores)
+        self._pool = ThreadPoolExecutor(cores)
+        self.moved_gb = 2e-9 * array.nbytes
+
+    def __call__(self) -> None:
+        # NumPy lets go of the interpreter while it copies.
+        for _ in self._pool.map(np.copyto, self._to, self._from):
+            pass
