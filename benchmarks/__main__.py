@@ -17,7 +17,7 @@ from rich.console import Console
 
 from benchmarks import machine
 from benchmarks.process import ProgramFailedError
-from benchmarks.result import SCHEMA, Result, markdown, not_run, table
+from benchmarks.result import SCHEMA, Result, console, markdown, not_run, show
 from scenes.errors import FringebenchError
 
 MODULES = {
@@ -64,7 +64,7 @@ def main() -> int:
     )
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="tables as Markdown")
     given = parser.parse_args()
-    progress, console = Console(stderr=True), Console()
+    progress, out = Console(stderr=True), console()
     about = machine.describe()
     about["load_before"] = machine.load()
     made = datetime.now(UTC).isoformat(timespec="seconds")
@@ -82,9 +82,9 @@ def main() -> int:
         f"{made}{', quick: small sizes, no target judged' if given.quick else ''}. {machine.sentence(about)}. "
         f"Load {about['load_before']} before, {about['load_after']} after; {sum(spent.values()):.0f} s."
     )
-    console.print(head, highlight=False)
+    out.print(head, highlight=False)
     for name, results in found.items():
-        console.print(table(MODULES[name].replace("`", ""), results))
+        show(out, MODULES[name].replace("`", ""), results)
     if given.json:
         everything: dict[str, Any] = {
             "schema": SCHEMA,

@@ -32,7 +32,7 @@ class Program:
     wall_s: float
     processor_s: float
     peak_mb: float
-    """Largest resident memory."""
+    """Largest resident memory, 1e6 bytes."""
 
 
 class ProgramFailedError(Exception):
@@ -64,7 +64,7 @@ def run(command: Sequence[str | Path], home: Path | None = None, longest_s: floa
     if status:
         last = (done.stderr or done.stdout).strip().splitlines()[-1:] or ["no output"]
         raise ProgramFailedError(f"{' '.join(map(str, command[:5]))}: status {status}, {last[0]}")
-    return Program(done.stdout, wall_s, processor_s, peak_kb / 1024)
+    return Program(done.stdout, wall_s, processor_s, peak_kb * 1024 / 1e6)
 
 
 def python(*words: str | Path, home: Path | None = None) -> Program:

@@ -9,6 +9,8 @@ from rich.console import Console
 from rich.table import Table
 
 SCHEMA = 1
+# Columns of a table where there is no terminal.
+WIDTH = 170
 Sense = Literal["at least", "at most"]
 
 
@@ -95,23 +97,39 @@ def cells(result: Result) -> tuple[str, ...]:
 COLUMNS = ("measured", "value", "baseline, same run", "ratio", "by processor", "target")
 
 
-def table(title: str, results: Sequence[Result]) -> Table:
-    """For the terminal."""
-    shown = Table(*COLUMNS, title=title, title_justify="left")
+def show(console: Console, title: str, results: Sequence[Result]) -> None:
+    """Print the table, and the notes below it."""
+    shown = Table(*COLUMNS, title=title, title_justify="left", title_style="bold")
     for result in results:
-        style = "bold red" if result.met is False else None
-        shown.add_row(*cells(result), style=style)
-        if result.note:
-            shown.add_row(f"  [dim]{result.note}[/]")
-    return shown
+        shown.add_row(*cells(result), style="red" if result.met is False else None)
+    console.print(shown)
+    for name, note in notes(results):
+        console.print(f"  {name}: {note}", highlight=False, markup=False, style="dim")
+
+
+def notes(results: Sequence[Result]) -> list[tuple[str, str]]:
+    """Names and notes; neighbours with one note share it."""
+    listed: list[tuple[str, str]] = []
+    for result in results:
+        if listed and listed[-1][1] == result.note:
+            listed[-1] = (f"{listed[-1][0]}; {result.name}", result.note)
+        elif result.note:
+            listed.append((result.name, result.note))
+    return [("; ".join(dict.fromkeys(names.split("; "))), note) for names, note in listed]
+
+
+def console() -> Console:
+    """Standard output, wide enough for a row where it is no terminal."""
+    out = Console()
+    return out if out.is_terminal else Console(width=WIDTH)
 
 
 def markdown(title: str, results: Sequence[Result]) -> str:
     """The same as Markdown, notes below."""
     lines = [f"### {title}", "", "| " + " | ".join(COLUMNS) + " |", "|---" * len(COLUMNS) + "|"]
     lines += ["| " + " | ".join(cells(result)) + " |" for result in results]
-    notes = [f"- {result.name}: {result.note}" for result in results if result.note]
-    return "\n".join([*lines, "", *notes, *([""] if notes else [])])
+    below = [f"- {name}: {note}" for name, note in notes(results)]
+    return "\n".join([*lines, "", *below, *([""] if below else [])])
 
 
 def main(name: str, doc: str | None, measure: Callable[[bool], list[Result]]) -> int:
@@ -122,6 +140,5 @@ def main(name: str, doc: str | None, measure: Callable[[bool], list[Result]]) ->
     parser.add_argument("--quick", action="store_true", help="small sizes; targets are not judged")
     quick = parser.parse_args().quick
     results = measure(quick)
-    console = Console()
-    console.print(table(name, results))
+    show(console(), name, results)
     return int(not quick and any(result.met is False for result in results))
