@@ -1,9 +1,7 @@
-"""Data sets: two workers against one confined to one core, samples a minute, and memory over many samples.
+"""Data sets: two workers against one confined to one core, samples a minute; and memory over many samples.
 
-    python benchmarks/dataset.py                    # 640 x 480, scene `spi`
-    python benchmarks/dataset.py --memory 200       # resident memory of a worker over 200 small samples instead
-
-Exit status 1 if two workers are not 1.6 times as fast.
+    python -m benchmarks.dataset                    # 640 x 480, scene `spi`
+    python -m benchmarks.dataset --memory 200       # resident memory of a worker over 200 small samples instead
 
 Runs alternate, one worker and then two, because other programs load a machine unevenly. Start-up (imports, first
 kernels) is left out: the clock runs from the moment each worker has made its first sample. Beside the rates stands the
@@ -11,9 +9,9 @@ processor time a sample takes, which other programs hardly change: where it is t
 the number of cores limits the ratio.
 """
 
-import argparse
 import json
 import os
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -22,10 +20,11 @@ from typing import Any
 import numpy as np
 
 import scenes
+from benchmarks.result import Result, Target, main
 from fringebench.datasets.build import build
 from fringebench.datasets.plan import Plan
 
-TARGET = 1.6
+TARGET = Target("ratio", "at least", 1.6)
 
 
 class Clock:
@@ -64,30 +63,35 @@ def run(scene: scenes.Scene, count: int, workers: int, core: int | None) -> Cloc
     return clock
 
 
-def speed(scene: scenes.Scene, count: int, rounds: int) -> dict[str, Any]:
+def measure(quick: bool) -> list[Result]:
     """Rates of one worker on one core and of two, round by round."""
+    size, more, rounds = ((160, 120), 3, 1) if quick else ((640, 480), 6, 3)
+    scene = scenes.load("spi", {"camera.resolution": list(size)})
     rates: dict[int, list[float]] = {1: [], 2: []}
-    cpu: dict[int, list[float]] = {1: [], 2: []}
+    processor: dict[int, list[float]] = {1: [], 2: []}
     cores = sorted(os.sched_getaffinity(0))
     for round_ in range(rounds):
         for workers in (1, 2):
             core = cores[round_ % len(cores)] if workers == 1 else None
-            clock = run(scene, count * workers, workers, core)
+            clock = run(scene, (1 + more) * workers, workers, core)
             # At the w-th sample each of w workers has made its first.
             made = len(clock.at_s) - workers
             rates[workers].append(60.0 * made / (clock.at_s[-1] - clock.at_s[workers - 1]))
-            cpu[workers].append((clock.cpu_s[-1] - clock.cpu_s[workers - 1]) / made)
-            print(
-                f"  {workers} worker(s): {rates[workers][-1]:6.1f} samples/min, {cpu[workers][-1]:.2f} s of processor each"
-            )
-    ratios = np.divide(rates[2], rates[1])
-    return {
-        "samples_per_minute": {str(w): float(np.median(rates[w])) for w in rates},
-        "processor_s_per_sample": {str(w): float(np.median(cpu[w])) for w in cpu},
-        "ratio_median": float(np.median(ratios)),
-        "ratios": ratios.tolist(),
-        "load": os.getloadavg()[0],
-    }
+            processor[workers].append((clock.cpu_s[-1] - clock.cpu_s[workers - 1]) / made)
+    spent = {workers: float(np.median(each)) for workers, each in processor.items()}
+    return [
+        Result(
+            "two workers",
+            float(np.median(rates[2])),
+            "samples/min",
+            "one worker on one core",
+            float(np.median(rates[1])),
+            float(np.median(np.divide(rates[2], rates[1]))),
+            target=TARGET,
+            note=f"spi, {size[0]} x {size[1]}, {rounds} rounds; {spent[1]:.2f} s of processor a sample with one worker, "
+            f"{spent[2]:.2f} with two",
+        )
+    ]
 
 
 def memory(scene: scenes.Scene, count: int) -> dict[str, Any]:
@@ -121,26 +125,9 @@ def _usage(pid: int) -> tuple[float, float]:
     return ticks / os.sysconf("SC_CLK_TCK"), pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
-def main() -> int:
-    """Print a table and JSON."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument(
-        "--samples", type=int, default=6, help="for each worker and round, beyond its first"
-    )
-    parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--memory", type=int, metavar="SAMPLES", help="measure memory instead")
-    given = parser.parse_args()
-    if given.memory:
-        scene = scenes.load("spi", {"camera.resolution": [160, 120], "sampling.samples": 4})
-        result = memory(scene, given.memory)
-    else:
-        scene = scenes.load("spi", {"camera.resolution": [640, 480]})
-        result = speed(scene, given.samples + 1, given.rounds)
-    print(json.dumps(result, indent=2))
-    return int(result.get("ratio_median", TARGET) < TARGET)
-
-
 if __name__ == "__main__":
-    raise SystemExit(main())
+    if sys.argv[1:2] == ["--memory"]:
+        small = scenes.load("spi", {"camera.resolution": [160, 120], "sampling.samples": 4})
+        print(json.dumps(memory(small, int(sys.argv[2])), indent=2))
+        sys.exit()
+    raise SystemExit(main("dataset", __doc__, measure))

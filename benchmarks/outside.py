@@ -109,7 +109,7 @@ def guest(what: str, frames: NDArray[np.uint8]) -> Iterator[Guest]:
 
 def measure(quick: bool) -> list[Result]:
     """Each outside decoder."""
-    return [_row(what, (640, 480) if quick else (1280, 960), 3 if quick else 7) for what in TASKS]
+    return [_row(what, (1280, 960) if quick else (2448, 2048), 3 if quick else 5) for what in TASKS]
 
 
 def _row(what: str, size: tuple[int, int], rounds: int) -> Result:

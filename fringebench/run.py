@@ -31,7 +31,7 @@ class Run:
     naive: evaluation.Score
     """The same stack decoded as the chapter does: one exposure, saturation ignored."""
     seconds: dict[str, float]
-    """Time each step took."""
+    """Time each step took; writing of all files but the report is one."""
 
 
 def run(
@@ -50,24 +50,29 @@ def run(
     steps = steps or Steps()
     step = steps.step
     with keeping(out) as keep:
-        keep("scene.toml", lambda path: scenes.save(scene, path))
+
+        def write(name: str, how: Callable[[Path], None]) -> None:
+            with step("write"):
+                keep(name, how)
+
+        write("scene.toml", lambda path: scenes.save(scene, path))
         with step("trace light") as done:
             transport = render.trace(scene, seed=seed, progress=done)
-            keep("transport.exr", transport.write)
+        write("transport.exr", transport.write)
         with step("truth"):
             truth = render.truth(scene, transport)
-            keep("truth.exr", truth.write)
+        write("truth.exr", truth.write)
         with step("expose") as done:
             stack = render.expose(transport, seed=seed, progress=done)
-            keep("stack.exr", stack.write)
+        write("stack.exr", stack.write)
         with step("decode"):
             reconstruction = decode.reconstruct(stack, fusion=fusion)
-            keep("reconstruction.exr", reconstruction.write)
+        write("reconstruction.exr", reconstruction.write)
         with step("score"):
             score = evaluation.score(reconstruction, truth)
-            keep("scores.json", score.write)
-            keep("cloud.ply", lambda path: evaluation.write_cloud(path, reconstruction, truth))
             naive = evaluation.score(decode.reconstruct(middle_exposure(stack), **NAIVE), truth)
+        write("scores.json", score.write)
+        write("cloud.ply", lambda path: evaluation.write_cloud(path, reconstruction, truth))
         result = Run(out, scene, stack, truth, reconstruction, fusion, score, naive, steps.seconds)
         with step("report"):
             from fringebench.run_report import run_report
