@@ -2,8 +2,8 @@
 
 from render.expose import expose
 from render.mitsuba_scene import mitsuba_scene
-from render.tracer import trace
-from render.transport import Transport
+from render.refine import trace
+from render.transport import PhaseError, Transport
 from render.truth import truth
 
-__all__ = ["Transport", "expose", "mitsuba_scene", "trace", "truth"]
+__all__ = ["PhaseError", "Transport", "expose", "mitsuba_scene", "trace", "truth"]

@@ -16,6 +16,30 @@ from scenes.scene import Sampling, Scene
 KIND = "transport"
 
 
+@dataclass(frozen=True)
+class PhaseError:
+    """How far light's own noise was brought down: see `render.trace`. Of the finest fringe, over the lit pixels."""
+
+    target_rad: float
+    """What was asked for."""
+    reached_rad: float | None
+    """95 % of the pixels are off by less, as estimated from the scatter between passes; None: no pixel shows a fringe."""
+    bound_rad: float | None
+    """Upper confidence bound (95 %) of `reached_rad`: what must be below the target."""
+    passes: int
+    pixels: int
+    """Pixels it was judged on."""
+
+    @property
+    def met(self) -> bool:
+        """Whether it was brought below the target."""
+        return self.bound_rad is not None and self.bound_rad <= self.target_rad
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, always valid JSON."""
+        return asdict(self) | {"met": self.met}
+
+
 @dataclass(frozen=True, eq=False)
 class Transport:
     """The response of every camera pixel to a basis of the patterns, in radiance, W/(m^2 sr).
@@ -38,6 +62,8 @@ class Transport:
     seed: int
     samples: int
     depth: int
+    phase_error: PhaseError | None = None
+    """Of a trace that went on until it was small enough; None: the samples were given."""
 
     def frames(self, projector: int = 0, direct_only: bool = False) -> NDArray[np.float32]:
         """Radiance of the scene's patterns from one projector, ambient light included, (frame, row, col).
@@ -81,6 +107,7 @@ class Transport:
             "seed": self.seed,
             "samples": self.samples,
             "depth": self.depth,
+            "phase_error": None if self.phase_error is None else asdict(self.phase_error),
         }
         exr.write(path, KIND, channels, meta)
 
@@ -116,8 +143,21 @@ class Transport:
                 int(meta["seed"]),
                 sampling.samples,
                 sampling.depth,
+                _phase_error(meta.get("phase_error")),
             )
         except (KeyError, TypeError, ValueError, SceneError) as error:
             raise FileError(
                 f"'{path}': its transport header or channels are damaged: {error}"
             ) from error
+
+
+def _phase_error(stored: dict[str, Any] | None) -> PhaseError | None:
+    if stored is None:
+        return None
+    numbers = {name: stored[name] for name in ("reached_rad", "bound_rad")}
+    return PhaseError(
+        target_rad=float(stored["target_rad"]),
+        passes=int(stored["passes"]),
+        pixels=int(stored["pixels"]),
+        **{name: None if value is None else float(value) for name, value in numbers.items()},
+    )

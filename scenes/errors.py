@@ -13,6 +13,10 @@ class FringebenchError(Exception):
     """Whatever a user can cause and mend."""
 
 
+class FringebenchWarning(UserWarning):
+    """What was done, but not as well as was asked for."""
+
+
 class SceneError(FringebenchError):
     """A scene that cannot be: unknown name or key, a value out of range, an impossible rig."""
 
