@@ -42,6 +42,14 @@ class Device:
             )
         return cls(dr, import_module(f"drjit.{chosen}"))
 
+    def root(self, x: Lanes) -> Lanes:
+        """Square root of float32 lanes to 2 units in the last place: by multiplication, for the divider is the bottleneck."""
+        return self.dr.select(x > 0.0, x * self.dr.rsqrt(x), x)
+
+    def positive(self, x: Lanes) -> Lanes:
+        """The greater of `x` and 0, NaN being 0: a quarter of the cost of `maximum`, which keeps NaN."""
+        return self.dr.select(x > 0.0, x, 0.0)
+
     def plane(self, values: NDArray[Any], pixels: Lanes | None = None) -> Lanes:
         """One image (row, col) of uint8, uint16 or float32 as float32 lanes; `pixels` picks flat indices."""
         flat = np.ascontiguousarray(values).reshape(-1)

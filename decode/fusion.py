@@ -30,6 +30,8 @@ class Samples:
     black_level_dn: float
     saturation_dn: float
     """A sample is saturated from here up; infinite when saturation is ignored."""
+    whole: bool
+    """Whether digital numbers are whole numbers, among which there is no NaN."""
     noise: tuple[tuple[float, float], ...]
     """Per exposure (constant, slope) of the variance ``constant + slope (DN - black level)`` in DN^2."""
 
@@ -49,28 +51,32 @@ class Samples:
         return self._cache[exposure]
 
     def _phasor(self, exposure: int) -> Phasor:
-        dr, types = self.device.dr, self.device.types
         steps = self.dn[exposure]
         mean, cosine, sine = (weighted_sum(row, steps) for row in solution(self.fringes))
         constant, slope = self.noise[exposure]
-        variance = constant + slope * dr.maximum(mean - self.black_level_dn, 0.0)
+        variance = constant + slope * self.device.positive(mean - self.black_level_dn)
         return Phasor(
             cosine=cosine,
             sine=sine,
             offset=mean,
-            variance_rad2=variance_rad2(self.fringes, cosine, sine, variance, slope),
+            variance_rad2=variance_rad2(self.device, self.fringes, cosine, sine, variance, slope),
             usable=self.unsaturated(exposure),
-            exposure=types.UInt32(exposure),
+            exposure=self.device.types.UInt32(exposure),
         )
 
     def unsaturated(self, exposure: int) -> Lanes:
         """Where every step of one exposure is below saturation."""
         if self.saturation_dn == float("inf"):
             return self.device.types.Bool(True)
-        first, *others = [dn < self.saturation_dn for dn in self.dn[exposure]]
-        for below in others:
-            first = first & below
-        return first
+        first, *others = self.dn[exposure]
+        if self.whole:
+            for dn in others:
+                first = self.device.dr.select(dn > first, dn, first)
+            return first < self.saturation_dn
+        below = first < self.saturation_dn
+        for dn in others:
+            below = below & (dn < self.saturation_dn)
+        return below
 
     def select(self, condition: Lanes, yes: Phasor, no: Phasor) -> Phasor:
         """Per pixel one of two phasors."""

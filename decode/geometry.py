@@ -6,7 +6,7 @@ in the world, where height is z, and in the projector's frame, where the fringe 
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -41,11 +41,30 @@ class Ray:
 
     def point(self, t: Real) -> Triple:
         """World point at a ray parameter, mm."""
-        return _along(self.world_origin, self.world_direction, t)
+        (x, y, z), (dx, dy, dz) = self.world_origin, self.world_direction
+        return x + t * dx, y + t * dy, z + t * dz
 
 
-def _invert(value: Real) -> Real:
+def _reciprocal(value: Real) -> Real:
     return 1.0 / value
+
+
+def _product_and_sum(a: Real, b: Real, c: Real) -> Real:
+    return a * b + c
+
+
+@dataclass(frozen=True)
+class Arithmetic:
+    """What NumPy and Dr.Jit do differently; the defaults are NumPy's."""
+
+    number: Callable[[float], Real] = float
+    """A constant of the rig: a kernel takes it as an argument, so that another rig compiles no other kernel."""
+    invert: Callable[[Real], Real] = _reciprocal
+    fma: Callable[[Real, Real, Real], Real] = _product_and_sum
+    """``a * b + c``, in one step where the machine has one: compilers may not join them by themselves."""
+
+
+NUMPY = Arithmetic()
 
 
 @dataclass(frozen=True)
@@ -54,61 +73,87 @@ class Rig:
 
     camera: Projection
     projector: Projection
-    number: Callable[[float], Real] = float
-    invert: Callable[[Real], Real] = _invert
+    arithmetic: Arithmetic = NUMPY
     camera_steps: int = UNDISTORT_STEPS
     """Newton steps that undo the camera's lens distortion."""
     projector_steps: int = MOST_STEPS
     """Newton steps that meet the projector's distorted fringe."""
 
+    @property
+    def parallel(self) -> bool:
+        """Whether camera rays are parallel, and projector rays too: all geometry is affine."""
+        return self.camera.telecentric and self.projector.telecentric
+
     def ray(self, column_px: Real, row_px: Real) -> Ray:
         """Camera rays through continuous pixel coordinates (centres at + 0.5)."""
-        camera, n = self.camera, self.number
-        x = (column_px - n(camera.cx)) * n(1.0 / camera.fx)
-        y = (row_px - n(camera.cy)) * n(1.0 / camera.fy)
-        x, y = undistort(x, y, camera.distortion, self.camera_steps)
-        to_world, origin = camera.R.T, camera.origin_mm
-        to_local = self.projector.R @ to_world
-        local_origin = self.projector.R @ origin + self.projector.t
-        world, local = self._columns(to_world), self._columns(to_local)
-        at, local_at = self._numbers(origin), self._numbers(local_origin)
-        if camera.telecentric:
+        camera, n = self.camera, self.arithmetic.number
+        x, y, plane = column_px, row_px, camera.R.T
+        if any(camera.distortion):
+            x = (x - n(camera.cx)) * n(1.0 / camera.fx)
+            y = (y - n(camera.cy)) * n(1.0 / camera.fy)
+            x, y = undistort(x, y, camera.distortion, self.camera_steps)
+        else:
+            # from pixels at once: columns of the matrix are what a pixel to the right, one down, and the axis add
+            focal = np.diag([1.0 / camera.fx, 1.0 / camera.fy, 1.0])
+            focal[:2, 2] = -camera.cx / camera.fx, -camera.cy / camera.fy
+            plane = plane @ focal
+        axis, origin = camera.R[2], camera.origin_mm
+        turn = self.projector.R
+        local_origin = turn @ origin + self.projector.t
+        if not camera.telecentric:
             return Ray(
-                _combine(world, x, y, at), world[2], _combine(local, x, y, local_at), local[2]
+                self._numbers(origin),
+                self._plane(plane, x, y),
+                self._numbers(local_origin),
+                self._plane(turn @ plane, x, y),
             )
-        return Ray(at, _combine(world, x, y, world[2]), local_at, _combine(local, x, y, local[2]))
+        # where the axis is the lens plane's third direction, it moves the origin instead
+        plane = plane - np.outer(axis, [0.0, 0.0, 1.0])
+        return Ray(
+            self._plane(plane, x, y, origin),
+            self._numbers(axis),
+            self._plane(turn @ plane, x, y, local_origin),
+            self._numbers(turn @ axis),
+        )
 
     def coordinate(self, ray: Ray, t: Real, axis: Axis) -> tuple[Real, Real]:
         """Projector coordinate along `axis` at a ray parameter, px, and its derivative by t."""
         xd, dxd = self._lens(ray, t, axis)
-        focal, centre = self._intrinsics(axis)
-        return xd * self.number(focal) + self.number(centre), dxd * self.number(focal)
+        n = self.arithmetic.number
+        focal, centre = map(n, self._intrinsics(axis))
+        return self.arithmetic.fma(xd, focal, centre), dxd * focal
 
     def meet(self, ray: Ray, coordinate_px: Real, axis: Axis) -> tuple[Real, Real]:
-        """Ray parameter where the ray meets the fringe, and d coordinate / d t there, px.
+        """Ray parameter t where the ray meets the fringe, and d t / d coordinate there, per px.
 
         Closed form without projector distortion (a ray meets a plane); with it, Newton's method on the ray from there.
         """
         focal, centre = self._intrinsics(axis)
-        target = (coordinate_px - self.number(centre)) * self.number(1.0 / focal)
+        number, invert, fma = self.arithmetic.number, self.arithmetic.invert, self.arithmetic.fma
+        scale = number(1.0 / focal)
+        target = fma(coordinate_px, scale, number(-centre / focal))
         i = 0 if axis == "column" else 1
         q, s = ray.local_origin, ray.local_direction
         if self.projector.telecentric:
-            t = (target - q[i]) * self.invert(s[i])
+            slope = invert(s[i])
+            t = (target - q[i]) * slope
         else:
-            t = (target * q[2] - q[i]) * self.invert(s[i] - target * s[2])
+            inverse = invert(fma(-target, s[2], s[i]))
+            t = fma(target, q[2], -q[i]) * inverse
+            slope = fma(t, s[2], q[2]) * inverse
         if any(self.projector.distortion):
             for _ in range(self.projector_steps):
-                xd, slope = self._lens(ray, t, axis)
-                t = t - (xd - target) * self.invert(slope)
-        return t, self._lens(ray, t, axis)[1] * self.number(focal)
+                xd, steep = self._lens(ray, t, axis)
+                t = t - (xd - target) * invert(steep)
+            slope = invert(self._lens(ray, t, axis)[1])
+        return t, slope * scale
 
     def _lens(self, ray: Ray, t: Real, axis: Axis) -> tuple[Real, Real]:
         """Distorted lens coordinate along `axis` at t, and its derivative by t."""
-        x, y, z = _along(ray.local_origin, ray.local_direction, t)
         dx, dy, dz = ray.local_direction
+        x, y, z = map(self.arithmetic.fma, (t, t, t), ray.local_direction, ray.local_origin)
         if not self.projector.telecentric:
-            scale = self.invert(z)
+            scale = self.arithmetic.invert(z)
             x, y = x * scale, y * scale
             dx, dy = (dx - x * dz) * scale, (dy - y * dz) * scale
         coefficients = self.projector.distortion
@@ -123,11 +168,18 @@ class Rig:
         return (p.fx, p.cx) if axis == "column" else (p.fy, p.cy)
 
     def _numbers(self, vector: Any) -> Triple:
-        n = self.number
+        n = self.arithmetic.number
         return n(float(vector[0])), n(float(vector[1])), n(float(vector[2]))
 
-    def _columns(self, matrix: Any) -> tuple[Triple, Triple, Triple]:
-        return self._numbers(matrix[:, 0]), self._numbers(matrix[:, 1]), self._numbers(matrix[:, 2])
+    def _plane(self, matrix: Any, x: Real, y: Real, plus: Any = (0.0, 0.0, 0.0)) -> Triple:
+        """``matrix @ (x, y, 1) + plus``."""
+        a, b = self._numbers(matrix[:, 0]), self._numbers(matrix[:, 1])
+        c, fma = self._numbers(matrix[:, 2] + plus), self.arithmetic.fma
+        return (
+            fma(a[0], x, fma(b[0], y, c[0])),
+            fma(a[1], x, fma(b[1], y, c[1])),
+            fma(a[2], x, fma(b[2], y, c[2])),
+        )
 
 
 def _inside(projector: Projection, points_mm: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -136,24 +188,13 @@ def _inside(projector: Projection, points_mm: NDArray[np.float64]) -> NDArray[np
     return np.asarray(((pixels >= 0.0) & (pixels <= size)).all(axis=-1))
 
 
-def _combine(columns: tuple[Triple, Triple, Triple], x: Real, y: Real, plus: Triple) -> Triple:
-    a, b, _ = columns
-    return (
-        a[0] * x + b[0] * y + plus[0],
-        a[1] * x + b[1] * y + plus[1],
-        a[2] * x + b[2] * y + plus[2],
-    )
+@lru_cache(maxsize=16)
+def view_of(calibration: Calibration, projector: int) -> "View":
+    """The one `View` of a projector: what it finds out is worth a millisecond, and stays while its calibration does."""
+    return View(calibration, projector)
 
 
-def _along(origin: Triple, direction: Triple, t: Real) -> Triple:
-    return (
-        origin[0] + t * direction[0],
-        origin[1] + t * direction[1],
-        origin[2] + t * direction[2],
-    )
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class View:
     """A calibrated camera and projector looked at from the host, to plan a kernel: float64 NumPy on a coarse grid."""
 
@@ -189,6 +230,15 @@ class View:
 
         Twice the larger side about the coordinate of the middle height.
         """
+        if (axis, heights_mm) not in self._bands:
+            self._bands[axis, heights_mm] = self._band_px(axis, heights_mm)
+        return self._bands[axis, heights_mm]
+
+    @cached_property
+    def _bands(self) -> dict[tuple[Axis, tuple[float, float]], float]:
+        return {}
+
+    def _band_px(self, axis: Axis, heights_mm: tuple[float, float]) -> float:
         rig = self.rig
         ray = rig.ray(*self.grid())
         low, high = heights_mm
@@ -199,26 +249,26 @@ class View:
 
     def sensitivity(self, axis: Axis) -> float:
         """Median |d coordinate / d height| over the image at mid volume, px per mm."""
+        if axis not in self._sensitivities:
+            self._sensitivities[axis] = self._sensitivity(axis)
+        return self._sensitivities[axis]
+
+    @cached_property
+    def _sensitivities(self) -> dict[Axis, float]:
+        return {}
+
+    def _sensitivity(self, axis: Axis) -> float:
         rig = self.rig
         ray = rig.ray(*self.grid())
         middle = sum(self.calibration.height_range_mm) / 2.0
         slope = rig.coordinate(ray, ray.t_at(middle), axis)[1] / ray.world_direction[2]
         return float(np.median(np.abs(slope)))
 
-    def locating_rig(
-        self,
-        number: Callable[[float], Real] = float,
-        invert: Callable[[Real], Real] = _invert,
-    ) -> Rig:
+    def locating_rig(self, arithmetic: Arithmetic = NUMPY) -> Rig:
         """The rig for a kernel that only asks where heights are seen: fringes along the baseline serve for that too."""
-        return replace(self.rig, number=number, invert=invert)
+        return replace(self.rig, arithmetic=arithmetic)
 
-    def kernel_rig(
-        self,
-        axis: Axis,
-        number: Callable[[float], Real] = float,
-        invert: Callable[[Real], Real] = _invert,
-    ) -> Rig:
+    def kernel_rig(self, axis: Axis, arithmetic: Arithmetic = NUMPY) -> Rig:
         """The rig for a kernel's arithmetic, with as many Newton steps as this lens needs and no more.
 
         Raises `DecodeError` if they do not converge inside the working volume.
@@ -227,7 +277,7 @@ class View:
             self._steps[axis] = self._converging(axis)
         camera_steps, projector_steps = self._steps[axis]
         rig = self.rig
-        return Rig(rig.camera, rig.projector, number, invert, camera_steps, projector_steps)
+        return Rig(rig.camera, rig.projector, arithmetic, camera_steps, projector_steps)
 
     @cached_property
     def _steps(self) -> dict[Axis, tuple[int, int]]:

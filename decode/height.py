@@ -8,6 +8,7 @@
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decode.device import Device, Lanes, padded
-from decode.geometry import Rig, View
+from decode.geometry import Arithmetic, Rig, View
 from scenes.errors import DecodeError
 from scenes.patterns import Axis
 
@@ -47,11 +48,16 @@ class Pixels:
         """The same pixels in float32: enough to choose a fringe order, and cheaper."""
         return replace(self, real=self.device.types.Float)
 
+    @property
+    def arithmetic(self) -> Arithmetic:
+        """Geometry's arithmetic in this kernel."""
+        return Arithmetic(self.number, self._invert, self.device.dr.fma)
+
     def number(self, value: float) -> Lanes:
         """A number the kernel takes as an argument: another rig does not compile another kernel."""
         return self.device.dr.opaque(self.real, float(value))
 
-    def invert(self, value: Lanes) -> Lanes:
+    def _invert(self, value: Lanes) -> Lanes:
         """Reciprocal: a float32 one and a Newton step, which squares its error, cost a third of a float64 division."""
         real, single = self.real, self.device.types.Float
         if real is single:
@@ -120,9 +126,11 @@ class Triangulation(HeightModel):
 
     def bind(self, pixels: Pixels) -> Solver:
         if self.measures:
-            rig = self.view.kernel_rig(self.axis, pixels.number, pixels.invert)
+            rig = self.view.kernel_rig(self.axis, pixels.arithmetic)
         else:
-            rig = self.view.locating_rig(pixels.number, pixels.invert)
+            rig = self.view.locating_rig(pixels.arithmetic)
+        if rig.parallel:
+            return _Affine(self.view.rig, self.axis, pixels)
         return _Triangulated(rig, self.axis, *pixels.centres())
 
     def band_px(self, heights_mm: tuple[float, float]) -> float:
@@ -137,10 +145,15 @@ class _Triangulated(Solver):
     def height(self, coordinate_px: Lanes) -> tuple[Lanes, Lanes]:
         t, slope = self.rig.meet(self.ray, coordinate_px, self.axis)
         direction = self.ray.world_direction[2]
-        return self.ray.world_origin[2] + t * direction, direction * self.rig.invert(slope)
+        return (
+            self.rig.arithmetic.fma(t, direction, self.ray.world_origin[2]),
+            direction * slope,
+        )
 
     def coordinate(self, height_mm: float) -> Lanes:
-        at = self.ray.t_at(self.rig.number(height_mm))
+        number, invert = self.rig.arithmetic.number, self.rig.arithmetic.invert
+        way = number(height_mm) - self.ray.world_origin[2]
+        at = way * invert(self.ray.world_direction[2])
         return self.rig.coordinate(self.ray, at, self.axis)[0]
 
     def rational(self) -> tuple[Lanes, Lanes]:
@@ -152,6 +165,34 @@ class _Triangulated(Solver):
         depth = self.ray.local_origin[2] + t * self.ray.local_direction[2]
         # u(h) - u(0) = c h / (1 + m h) with m the relative growth of depth per mm of height
         return c, -self.ray.local_direction[2] / (self.ray.world_direction[2] * depth)
+
+
+class _Affine(Solver):
+    """Parallel rays on both sides: ``h = g (u - u0)`` with g one number and u0, the plane z = 0, affine in the pixel."""
+
+    def __init__(self, rig: Rig, axis: Axis, pixels: Pixels) -> None:
+        wide, high = float(rig.camera.width), float(rig.camera.height)
+        ray = rig.ray(np.array([0.0, wide, 0.0]), np.array([0.0, 0.0, high]))
+        plane, slope = rig.coordinate(ray, ray.t_at(0.0), axis)
+        self.shift = float(slope) / float(ray.world_direction[2])
+        self.start = float(plane[0])
+        self.across = (float(plane[1]) - self.start) / wide, (float(plane[2]) - self.start) / high
+        self.pixels = pixels
+
+    def height(self, coordinate_px: Lanes) -> tuple[Lanes, Lanes]:
+        gain = 1.0 / self.shift
+        plane = self._over_pixels(-gain * self.start, [-gain * step for step in self.across])
+        per_px = self.pixels.number(gain)
+        return self.pixels.device.dr.fma(coordinate_px, per_px, plane), per_px
+
+    def coordinate(self, height_mm: float) -> Lanes:
+        return self._over_pixels(self.start + self.shift * height_mm, self.across)
+
+    def _over_pixels(self, start: float, step: Sequence[float]) -> Lanes:
+        """``start + step (column, row)``."""
+        number, fma = self.pixels.number, self.pixels.device.dr.fma
+        column, row = self.pixels.centres()
+        return fma(column, number(step[0]), fma(row, number(step[1]), number(start)))
 
 
 @dataclass(frozen=True)
@@ -193,7 +234,7 @@ class LinearisedRig(HeightModel):
 
     def bind(self, pixels: Pixels) -> Solver:
         exact = _Triangulated(
-            self.view.kernel_rig(self.axis, pixels.number, pixels.invert),
+            self.view.kernel_rig(self.axis, pixels.arithmetic),
             self.axis,
             *pixels.centres(),
         )
@@ -220,7 +261,7 @@ class ReferencePlane(HeightModel):
         plane = None if self.reference_px is None else pixels.image_lanes(self.reference_px)
         if self.view is not None:
             exact = _Triangulated(
-                self.view.kernel_rig(self.axis, pixels.number, pixels.invert),
+                self.view.kernel_rig(self.axis, pixels.arithmetic),
                 self.axis,
                 *pixels.centres(),
             )

@@ -165,7 +165,7 @@ def fitted(samples: Samples, masks: list[list[Lanes]], light: Sequence[Lanes] | 
     weight, pull = [], []
     for n in range(len(samples.fringes.frames)):
         s = r = types.Float(0.0)
-        e = None if light is None else dr.maximum(light[n], 0.0)
+        e = None if light is None else samples.device.positive(light[n])
         for k, time_ms in enumerate(samples.exposure_ms):
             constant, slope = samples.noise[k]
             if e is None or not slope:

@@ -63,7 +63,9 @@ def _summed(samples: Samples) -> tuple[Phasor, Lanes, Lanes]:
         cosine = cosine + dr.select(mask, phasor.cosine, 0.0)
         sine = sine + dr.select(mask, phasor.sine, 0.0)
         level = level + dr.select(mask, above, 0.0)
-        variance = variance + dr.select(mask, constant + slope * dr.maximum(above, 0.0), 0.0)
+        variance = variance + dr.select(
+            mask, constant + slope * samples.device.positive(above), 0.0
+        )
         time_ms = time_ms + dr.select(mask, samples.exposure_ms[k], 0.0)
         longest_ms = dr.maximum(longest_ms, dr.select(mask, samples.exposure_ms[k], 0.0))
     total = Phasor(
@@ -71,7 +73,9 @@ def _summed(samples: Samples) -> tuple[Phasor, Lanes, Lanes]:
         sine=sine,
         offset=level + samples.black_level_dn,
         # the slope is the sensor's gain, the same for every exposure
-        variance_rad2=variance_rad2(samples.fringes, cosine, sine, variance, samples.noise[0][1]),
+        variance_rad2=variance_rad2(
+            samples.device, samples.fringes, cosine, sine, variance, samples.noise[0][1]
+        ),
         usable=usable,
         exposure=types.UInt32(MERGED),
     )

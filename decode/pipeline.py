@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from decode import fusion, gamma, gray, shadow, unwrap, validity
 from decode.device import Device, Lanes
+from decode.geometry import view_of
 from decode.height import Pixels, Solver
 from decode.ladder import single
 from decode.options import Options
@@ -76,7 +77,7 @@ def reconstruct(stack: Stack, **choices: Any) -> Reconstruction:
 
 def _check_size(stack: Stack) -> None:
     if stack.calibration is not None:
-        camera = stack.calibration.camera.projection()
+        camera = view_of(stack.calibration, 0).rig.camera
         if (camera.width, camera.height) != stack.resolution:
             raise DecodeError(
                 f"the calibration's camera is {camera.width} x {camera.height} pixels, the frames are "
@@ -231,7 +232,7 @@ class _Kernel:
         for phasor in phasors[1:]:
             usable = usable & phasor.usable
         period = sets[-1].period_px
-        sigma_px = device.dr.sqrt(phasors[-1].variance_rad2) * (period / unwrap.TURN)
+        sigma_px = device.root(phasors[-1].variance_rad2) * (period / unwrap.TURN)
         return _Decoded(
             period,
             phasors[-1],
@@ -337,11 +338,12 @@ class _Kernel:
             exposure_ms=stack.exposure_ms,
             black_level_dn=stack.sensor.black_level_dn,
             saturation_dn=stack.saturation_dn if reject else float("inf"),
+            whole=bool(np.issubdtype(stack.frames.dtype, np.integer)),
             noise=tuple(stack.sensor.noise_model(ms) for ms in stack.exposure_ms),
         )
 
     def _modulation(self, phasor: Phasor) -> Lanes:
-        return self.device.dr.sqrt(phasor.cosine * phasor.cosine + phasor.sine * phasor.sine)
+        return self.device.root(phasor.cosine * phasor.cosine + phasor.sine * phasor.sine)
 
     def _height(self, solver: Solver, measured: _Decoded) -> tuple[Lanes, Lanes]:
         """Height and its predicted standard deviation, float32."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decode import gamma
-from decode.geometry import View
+from decode.geometry import View, view_of
 from decode.gray import GraySet, gray_sets
 from decode.height import HeightModel, Linear, LinearisedRig, ReferencePlane, Triangulation
 from decode.ladder import Rung, ladder, single
@@ -70,7 +70,7 @@ class Plan:
     def view(self) -> View | None:
         """The calibrated rig, if there is one."""
         calibration = self.stack.calibration
-        return None if calibration is None else View(calibration, self.projector)
+        return None if calibration is None else view_of(calibration, self.projector)
 
     @cached_property
     def volume_mm(self) -> tuple[float, float] | None:

@@ -149,7 +149,9 @@ class Reconstruction:
             )
         origin, direction = camera.rays(camera.pixel_centres())
         t = (self.height_mm - origin[..., 2]) / direction[..., 2]
-        return np.asarray(origin + t[..., None] * direction, dtype=np.float32)
+        points = np.asarray(origin + t[..., None] * direction, dtype=np.float32)
+        points[..., 2] = self.height_mm  # not to the last bit otherwise
+        return points
 
     def reason_fractions(self) -> dict[str, float]:
         """Fraction of the pixels asked for under each reason that occurs; ``ok`` always stands.

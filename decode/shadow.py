@@ -25,13 +25,13 @@ def level(samples: Samples) -> Lanes:
     The largest over the exposures of ``(B - 3 sigma_B) / t``: clipping and noise only lower it, so the fusion rule and
     saturation do not matter.
     """
-    dr = samples.device.dr
+    dr, root = samples.device.dr, samples.device.root
     best = None
     for exposure, time_ms in enumerate(samples.exposure_ms):
         phasor = samples.phasor(exposure)
         power = phasor.cosine * phasor.cosine + phasor.sine * phasor.sine
-        # sigma_B = B sigma_phi, which is NaN where all steps are clipped alike
-        sure = dr.sqrt(power) - SURE * dr.sqrt(phasor.variance_rad2 * power)
+        # sigma_B = B sigma_phi, which is no number where all steps are clipped alike
+        sure = root(power) * (1.0 - SURE * root(phasor.variance_rad2))
         # an argument of the kernel: another exposure time does not compile another kernel
         per_ms = dr.opaque(samples.device.types.Float, 1.0 / time_ms)
         scaled = dr.select(power > 0.0, sure * per_ms, 0.0)

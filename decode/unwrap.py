@@ -31,14 +31,14 @@ def climb(
     """
     types, dr = device.types, device.dr
     turns = (types.Float(order) + coarse_rad * (1.0 / TURN)) * ratio - fine_rad * (1.0 / TURN)
-    whole = dr.round(turns)
-    return types.Int32(whole), dr.abs(turns - whole)
+    whole = types.Int32(dr.round(turns))
+    return whole, dr.abs(turns - types.Float(whole))
 
 
 def coordinate(device: Device, wrapped_rad: Lanes, order: Lanes, period_px: float) -> Lanes:
     """Projector coordinate in px, float64: float32 would lose 1e-5 rad above some 16 fringes."""
     float64 = device.types.Float64
-    return (float64(order) + float64(wrapped_rad) * (1.0 / TURN)) * period_px
+    return device.dr.fma(float64(wrapped_rad), period_px / TURN, float64(order) * period_px)
 
 
 def row_scan(wrapped_rad: NDArray[np.float32], good: NDArray[np.bool_]) -> Orders:
