@@ -1,6 +1,5 @@
 """Linear light becomes raw frames: any patterns, sensor and exposures, without tracing again."""
 
-import math
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -12,11 +11,11 @@ from pydantic import ValidationError
 
 from render.sensor import Floats, Noise, digital_numbers, fixed_pattern
 from render.transport import Transport
+from scenes import mapped
 from scenes.basis import RANK_TOLERANCE, Basis, basis
 from scenes.calibration import Calibration
 from scenes.errors import RenderError, nearest
 from scenes.load import dumps
-from scenes.memory import room_for
 from scenes.patterns import Patterns
 from scenes.scene import AutoExposure, Exposures, Sampling
 from scenes.sensor import Sensor
@@ -49,10 +48,11 @@ def expose(
     pattern's (None: `seed`): pictures of one chip share it. `progress` is called with the share that is done, frame by
     frame.
 
-    The stack's `scene` is the TOML with these replacements; its `exposure_ms` are the times taken.
+    The stack's `scene` is the TOML with these replacements; its `exposure_ms` are the times taken. Frames of more than a
+    GiB leave memory as they are made, for a file without a name (`scenes.mapped`).
 
     Raises `RenderError` for patterns outside the span, and for exposure times that cannot be, `TooLargeError` for more
-    frames than memory holds.
+    frames than memory and disk hold.
 
     >>> import scenes, render
     >>> transport = render.trace(scenes.load("step", {"camera.resolution": [64, 48]}), samples=2)
@@ -83,20 +83,14 @@ def expose(
     light = transport.direct if direct_only else transport.total
     height, width = transport.ambient.shape
     shape = (len(times_ms), len(shown), height * width)
-    with room_for(
-        math.prod(shape) * np.dtype(scene.sensor.dtype).itemsize,
+    frames = mapped.array(
+        shape,
+        scene.sensor.dtype,
         f"{shape[0]} exposures of {shape[1]} frames of {width} x {height} pixels",
         "take fewer exposures at a time, or a smaller camera.resolution",
-    ):
-        frames = _frames(
-            transport,
-            light,
-            shown,
-            times_ms,
-            scene.sensor,
-            (seed, chip_seed) if noise else None,
-            progress,
-        )
+    )
+    seeds = (seed, chip_seed) if noise else None
+    _fill(frames, transport, light, shown, times_ms, scene.sensor, seeds, progress)
     return Stack(
         frames.reshape(*shape[:2], height, width),
         scene.frames,
@@ -108,7 +102,8 @@ def expose(
     )
 
 
-def _frames(
+def _fill(
+    frames: NDArray[Any],
     transport: Transport,
     light: NDArray[np.float32],
     shown: Sequence[tuple[int, Floats]],
@@ -116,10 +111,9 @@ def _frames(
     sensor: Sensor,
     seeds: tuple[int, int] | None,
     progress: Callable[[float], None] | None,
-) -> NDArray[Any]:
-    """Digital numbers (exposure, frame, pixel); without seeds (noise, chip), without noise."""
+) -> None:
+    """Digital numbers into (exposure, frame, pixel); without seeds (noise, chip), without noise."""
     count = transport.ambient.size
-    frames = np.empty((len(times_ms), len(shown), count), sensor.dtype)
     chip = None if seeds is None else fixed_pattern(sensor, seeds[1], count)
 
     def take(frame: int) -> None:
@@ -142,7 +136,6 @@ def _frames(
             # An interrupt need not wait for frames that nobody will see.
             pool.shutdown(cancel_futures=True)
             raise
-    return frames
 
 
 def _exposures(given: Exposures | Sequence[float] | None) -> Exposures | None:

@@ -27,8 +27,6 @@ from scenes.replace_file import replacing
 
 VERSION = 1
 ATTRIBUTE = "fringebench"
-# Whole numbers up to here are exact in a half float (11 bits of significand).
-HALF_EXACT = 2048
 # Bytes of a half: the header alone does not give away a channel's type.
 SMALLEST_SAMPLE = 2
 
@@ -48,15 +46,8 @@ def write(
     """Write channels (row, col) of one size as float16, float32 or uint32, beside and renamed.
 
     `meta` is JSON-serialisable and comes back from `read`; `standard` holds OpenEXR's own attributes such as
-    ``expTime``. Raises `FileError` when the file cannot be written; what was at `path` stays.
+    ``expTime``, or another ``compression``. Raises `FileError` when the file cannot be written; what was at `path` stays.
     """
-    header: dict[str, Any] = {
-        "compression": OpenEXR.ZIP_COMPRESSION,
-        "type": OpenEXR.scanlineimage,
-        "software": "fringebench",
-        ATTRIBUTE: json.dumps({"format": kind, "version": VERSION, **meta}),
-        **(standard or {}),
-    }
     planes = {name: np.ascontiguousarray(plane) for name, plane in channels.items()}
     shapes = {plane.shape for plane in planes.values()}
     if len(shapes) != 1 or len(next(iter(shapes))) != 2 or 0 in next(iter(shapes)):
@@ -64,12 +55,25 @@ def write(
             f"cannot write '{path}': channels have shapes {sorted(shapes)}; an EXR file holds images (row, col) of "
             "one size, at least one pixel each"
         )
-    with replacing(path) as beside, _library() as said:
+    with replacing(path) as beside, library() as said:
         try:
             with _named(beside, "wb") as name:
-                OpenEXR.File(header, planes).write(name)
+                OpenEXR.File(new_header(kind, meta, standard), planes).write(name)
         except (RuntimeError, ValueError, TypeError) as error:
-            raise FileError(f"cannot write '{path}': {_first_line(said, error)}") from error
+            raise FileError(f"cannot write '{path}': {first_line(said, error)}") from error
+
+
+def new_header(
+    kind: str, meta: Mapping[str, Any], standard: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """What stands before the pixels of a file of that kind."""
+    return {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "software": "fringebench",
+        ATTRIBUTE: json.dumps({"format": kind, "version": VERSION, **meta}),
+        **(standard or {}),
+    }
 
 
 def read(path: str | Path, kind: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
@@ -81,7 +85,16 @@ def read(path: str | Path, kind: str) -> tuple[dict[str, NDArray[Any]], dict[str
     source = Path(path)
     if not is_file(source):
         raise FileError(f"'{source}' does not exist: give the path of a {kind} EXR file")
-    channels, meta = load(source)
+    channels, found = load(source)
+    meta = expected(found, source, kind)
+    shapes = {plane.shape for plane in channels.values()}
+    if len(shapes) != 1 or len(next(iter(shapes))) != 2:
+        raise FileError(f"'{source}' is damaged: its channels have shapes {sorted(shapes)}")
+    return channels, meta
+
+
+def expected(meta: dict[str, Any] | None, source: Path, kind: str) -> dict[str, Any]:
+    """The meta of a file, if it is of that kind and this version; raises `FileError` if not."""
     if meta is None:
         raise FileError(
             f"'{source}' is an OpenEXR file but not one of fringebench's: expected a {kind} file"
@@ -95,10 +108,7 @@ def read(path: str | Path, kind: str) -> tuple[dict[str, NDArray[Any]], dict[str
             f"'{source}' has format version {meta.get('version')}, this program reads {VERSION}: "
             "write it again with this version, or read it with the one that wrote it"
         )
-    shapes = {plane.shape for plane in channels.values()}
-    if len(shapes) != 1 or len(next(iter(shapes))) != 2:
-        raise FileError(f"'{source}' is damaged: its channels have shapes {sorted(shapes)}")
-    return channels, meta
+    return meta
 
 
 def kind_of(path: str | Path) -> str:
@@ -116,14 +126,19 @@ def load(
     source: Path, header_only: bool = False
 ) -> tuple[dict[str, NDArray[Any]], dict[str, Any] | None]:
     """Channels of any OpenEXR file, and its meta if it is one of this project's. Raises `FileError` if it is no EXR."""
-    header, planes = _opened(source, header_only=True)
+    header, planes = _read(source, header_only=True)
     if not header_only:
         with room_for(
             _claimed_bytes(header),
             f"'{source}', by what its header says,",
             "read it on a larger machine; if it should be small, it is damaged",
         ):
-            header, planes = _opened(source, header_only=False)
+            header, planes = _read(source, header_only=False)
+    return planes, meta_of(header, source)
+
+
+def meta_of(header: Mapping[str, Any], source: Path) -> dict[str, Any] | None:
+    """What the project wrote into a file's header; None in others' files. Raises `FileError` if it is damaged."""
     try:
         text = header.get(ATTRIBUTE)
         meta = parse_json(text) if isinstance(text, str) else None
@@ -131,7 +146,7 @@ def load(
         raise FileError(f"'{source}': its fringebench header is damaged: {error}") from error
     if meta is not None and not isinstance(meta, dict):
         raise FileError(f"'{source}': its fringebench header is no JSON object")
-    return planes, meta
+    return meta
 
 
 def whole(plane: NDArray[Any], dtype: DTypeLike) -> NDArray[Any]:
@@ -143,17 +158,30 @@ def whole(plane: NDArray[Any], dtype: DTypeLike) -> NDArray[Any]:
     return numbers
 
 
-def _opened(source: Path, header_only: bool) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    with _library() as said:
+def opened(
+    source: Any, named: Path, header_only: bool = False
+) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Header and channels of a file, given by its path or open; `named` is for the message.
+
+    Raises `FileError` if it is no whole OpenEXR file.
+    """
+    with library() as said:
         try:
-            with _named(source, "rb") as name:
-                file = OpenEXR.File(name, separate_channels=True, header_only=header_only)
-                channels = {} if header_only else file.channels()
-                return file.header(), {key: channel.pixels for key, channel in channels.items()}
+            file = OpenEXR.File(source, separate_channels=True, header_only=header_only)
+            channels = {} if header_only else file.channels()
+            return file.header(), {key: channel.pixels for key, channel in channels.items()}
         except (RuntimeError, ValueError, TypeError, OSError) as error:
             raise FileError(
-                f"'{source}' is truncated, damaged or no OpenEXR file: {_first_line(said, error)}"
+                f"'{named}' is truncated, damaged or no OpenEXR file: {first_line(said, error)}"
             ) from error
+
+
+def _read(source: Path, header_only: bool) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    try:
+        with _named(source, "rb") as name:
+            return opened(name, source, header_only)
+    except OSError as error:
+        raise FileError(f"cannot read '{source}': {error.strerror or error}") from error
 
 
 @contextmanager
@@ -178,18 +206,8 @@ def _claimed_bytes(header: Mapping[str, Any]) -> int:
         return 0
 
 
-def counts(frames: NDArray[Any]) -> NDArray[Any]:
-    """Digital numbers in the smallest channel type that holds each exactly: half, else float32."""
-    if frames.dtype == np.uint8:
-        return frames.astype(np.float16)
-    if frames.dtype == np.uint16:
-        exact = frames.size == 0 or int(frames.max()) <= HALF_EXACT
-        return frames.astype(np.float16 if exact else np.float32)
-    return frames.astype(np.float32, copy=False)
-
-
 @contextmanager
-def _library() -> Iterator[Any]:
+def library() -> Iterator[Any]:
     """The OpenEXR library for one thread of ours, with worker threads of its own and its prints caught.
 
     It prints errors on the process's stderr and warnings on `sys.stdout`, where they would spoil an answer in JSON; a
@@ -215,7 +233,7 @@ def _library() -> Iterator[Any]:
         print(printed.getvalue(), end="")
 
 
-def _first_line(said: Any, error: Exception) -> str:
+def first_line(said: Any, error: Exception) -> str:
     said.seek(0)
     lines: list[str] = said.read().decode(errors="replace").strip().splitlines()
     return lines[0] if lines else str(error)

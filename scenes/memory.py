@@ -21,13 +21,13 @@ def room_for(needed_bytes: int, what: str, remedy: str) -> Iterator[None]:
     available = available_bytes()
     if available is not None and needed_bytes > available:
         raise TooLargeError(
-            f"{what} needs about {_told(needed_bytes)} of memory, {_told(available)} are free: {remedy}"
+            f"{what} needs about {told(needed_bytes)} of memory, {told(available)} are free: {remedy}"
         )
     try:
         yield
     except MemoryError as error:
         raise TooLargeError(
-            f"{what} needs about {_told(needed_bytes)} of memory, and more than there was: {remedy}"
+            f"{what} needs about {told(needed_bytes)} of memory, and more than there was: {remedy}"
         ) from error
 
 
@@ -81,5 +81,6 @@ def _process() -> int | None:
     return limit - pages * resource.getpagesize()
 
 
-def _told(count: int) -> str:
+def told(count: int) -> str:
+    """Bytes in words."""
     return f"{count / GIB:.3g} GiB"

@@ -5,16 +5,21 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
+import OpenEXR
+from numpy.typing import DTypeLike, NDArray
 from pydantic import TypeAdapter, ValidationError
 
-from scenes import exr
+from scenes import exr_bands, mapped
 from scenes.calibration import Calibration
 from scenes.errors import DecodeError, FileError
+from scenes.exr_bands import Bands
 from scenes.patterns import Frame
 from scenes.sensor import Sensor
 
 KIND = "stack"
+DTYPES = (np.uint8, np.uint16, np.float32)
+# Whole numbers up to here are exact in a half float (11 bits of significand).
+HALF_EXACT = 2048
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +40,7 @@ class Stack:
 
     def __post_init__(self) -> None:
         shape = self.frames.shape
-        if self.frames.dtype not in (np.uint8, np.uint16, np.float32):
+        if self.frames.dtype not in DTYPES:
             raise DecodeError(
                 f"frames are {self.frames.dtype}: a stack holds uint8, uint16 or float32"
             )
@@ -61,12 +66,8 @@ class Stack:
 
     def write(self, path: str | Path) -> None:
         """Write as EXR, one channel a frame, named ``E<exposure>.F<frame>``; counts survive exactly."""
-        planes = exr.counts(self.frames)
-        channels = {
-            f"E{e:02d}.F{f:03d}": planes[e, f]
-            for e in range(planes.shape[0])
-            for f in range(planes.shape[1])
-        }
+        planes = [frame for exposure in self.frames for frame in exposure]
+        channels = dict(zip(_names(*self.frames.shape[:2]), planes, strict=True))
         meta = {
             "dtype": str(self.frames.dtype),
             "units": {"frames": "DN", "exposure_ms": "ms", "period_px": "projector px"},
@@ -77,47 +78,74 @@ class Stack:
             "scene": self.scene,
             "seed": self.seed,
         }
-        exr.write(path, KIND, channels, meta, {"expTime": float(self.exposure_ms[0]) * 1e-3})
+        standard = {
+            "expTime": float(self.exposure_ms[0]) * 1e-3,
+            # For noisy counts twice as fast as ZIP, and smaller (docs/files.md).
+            "compression": OpenEXR.PIZ_COMPRESSION,
+        }
+        exr_bands.write(path, KIND, channels, meta, standard, _stored(self.frames))
 
     @classmethod
     def read(cls, path: str | Path) -> Self:
         """Read a stack; raises `FileError` on anything but a whole stack file of this version."""
-        channels, meta = exr.read(path, KIND)
-        try:
-            patterns = TypeAdapter(tuple[Frame, ...]).validate_python(meta["patterns"])
-            exposure_ms = TypeAdapter(tuple[float, ...]).validate_python(meta["exposure_ms"])
-            sensor: Sensor = TypeAdapter(Sensor).validate_python(meta["sensor"])
-            calibration = meta["calibration"]
-            frames = _frames(
-                channels, len(exposure_ms), len(patterns), np.dtype(str(meta["dtype"]))
-            )
-            return cls(
-                frames,
-                patterns,
-                exposure_ms,
-                sensor,
-                None if calibration is None else Calibration.model_validate(calibration),
-                str(meta["scene"]),
-                meta["seed"],
-            )
-        except (KeyError, TypeError, ValueError, ValidationError, DecodeError) as error:
-            raise FileError(
-                f"'{path}': its stack header or channels are damaged: {error}"
-            ) from error
+        with exr_bands.reading(path, KIND) as bands:
+            meta = bands.meta
+            try:
+                patterns = TypeAdapter(tuple[Frame, ...]).validate_python(meta["patterns"])
+                exposure_ms = TypeAdapter(tuple[float, ...]).validate_python(meta["exposure_ms"])
+                sensor: Sensor = TypeAdapter(Sensor).validate_python(meta["sensor"])
+                calibration = meta["calibration"]
+                dtype = np.dtype(str(meta["dtype"]))
+                return cls(
+                    _frames(bands, len(exposure_ms), len(patterns), dtype, f"'{path}'"),
+                    patterns,
+                    exposure_ms,
+                    sensor,
+                    None if calibration is None else Calibration.model_validate(calibration),
+                    str(meta["scene"]),
+                    meta["seed"],
+                )
+            except (KeyError, TypeError, ValueError, ValidationError, DecodeError) as error:
+                raise FileError(
+                    f"'{path}': its stack header or channels are damaged: {error}"
+                ) from error
+
+
+def _names(exposures: int, frames: int) -> list[str]:
+    return [f"E{e:02d}.F{f:03d}" for e in range(exposures) for f in range(frames)]
+
+
+def _stored(frames: NDArray[Any]) -> DTypeLike:
+    """The smallest channel type that holds each digital number exactly: half, else float32."""
+    if frames.dtype == np.uint8:
+        return np.float16
+    whole = frames.dtype == np.uint16
+    return np.float16 if whole and int(frames.max()) <= HALF_EXACT else np.float32
 
 
 def _frames(
-    channels: dict[str, NDArray[Any]], exposures: int, frames: int, dtype: np.dtype[Any]
+    bands: Bands, exposures: int, count: int, dtype: np.dtype[Any], source: str
 ) -> NDArray[Any]:
-    """The channels as (exposure, frame, row, col), one by one; `ValueError` unless each is there and whole."""
-    names = [f"E{e:02d}.F{f:03d}" for e in range(exposures) for f in range(frames)]
-    if channels.keys() != set(names):
-        raise ValueError(f"missing or surplus channels: {sorted(channels.keys() ^ set(names))[:4]}")
-    planes = np.empty((len(names), *channels[names[0]].shape), dtype)
-    for name, plane in zip(names, planes, strict=True):
-        stored = channels.pop(name)
-        with np.errstate(invalid="ignore"):
-            plane[:] = stored
-        if dtype.kind != "f" and not np.array_equal(plane, stored):
-            raise ValueError(f"channel {name} holds numbers that are no {dtype}")
-    return planes.reshape(exposures, frames, *planes.shape[1:])
+    """The channels as (exposure, frame, row, col); `ValueError` unless each is there and whole."""
+    names = _names(exposures, count)
+    if set(bands.names) != set(names) or len(bands.names) != len(names):
+        raise ValueError(
+            f"missing or surplus channels: {sorted(set(bands.names) ^ set(names))[:4]}"
+        )
+    if dtype not in DTYPES:
+        raise ValueError(f"frames are {dtype}")
+    frames: NDArray[Any] | None = None
+    for rows, channels in bands:
+        # A header may claim any size; a band that could be read bears out the width.
+        if frames is None:
+            frames = mapped.array(
+                (exposures, count, *bands.size), dtype, source, "read it on a larger machine"
+            )
+        for name, plane in zip(names, frames.reshape(-1, *bands.size), strict=True):
+            stored = channels.pop(name)
+            with np.errstate(invalid="ignore"):
+                plane[rows] = stored
+            if dtype.kind != "f" and not np.array_equal(plane[rows], stored):
+                raise ValueError(f"channel {name} holds numbers that are no {dtype}")
+    assert frames is not None  # an image has a row
+    return frames
