@@ -60,13 +60,17 @@ class Score:
     """Name of the scene."""
     regions: Mapping[str, RegionScore]
     features: Mapping[str, Feature]
+    light: Mapping[str, Any] | None = None
+    """How far light's own noise was brought down, where a phase error was asked for."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data with None where there is no figure; always valid JSON."""
+        light = {} if self.light is None else {"light": dict(self.light)}
         return {
             "scene": self.scene,
             "regions": {label: asdict(region) for label, region in self.regions.items()},
             "features": {name: asdict(feature) for name, feature in self.features.items()},
+            **light,
         }
 
     def write(self, path: str | Path) -> None:

@@ -4,6 +4,7 @@ import io
 import json
 import os
 import sys
+import warnings
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,10 +20,10 @@ from fringebench.commands_pads import register as register_pads
 from fringebench.commands_regress import register as register_regress
 from fringebench.commands_rig import register as register_rig
 from fringebench.commands_view import register as register_view
-from fringebench.options import AsJson, Fusion, SceneName, Seed, Settings, ShowProgress
+from fringebench.options import AsJson, Fusion, PhaseError, SceneName, Seed, Settings, ShowProgress
 from fringebench.overrides import parse_overrides
 from fringebench.progress import Mode, Steps
-from scenes.errors import DecodeError, FringebenchError
+from scenes.errors import DecodeError, FringebenchError, FringebenchWarning
 from scenes.paths import as_file_name
 
 # What a shell reports for a command that Ctrl-C ended.
@@ -61,13 +62,14 @@ def run(
     scene: SceneName = "bench",
     output: Output = None,
     settings: Settings = [],  # noqa: B006
+    phase_error: PhaseError = None,
     seed: Seed = 0,
     fusion: Fusion = "max-modulation",
     progress: ShowProgress = Mode.AUTO,
     as_json: AsJson = False,
 ) -> None:
     """The whole way: trace, expose, decode, score; writes every file and prints the score table."""
-    loaded = scenes.load(scene, parse_overrides(settings))
+    loaded = scenes.load(scene, parse_overrides(settings, phase_error))
     folder = output or Path(f"fringebench-{as_file_name(loaded.name)}")
 
     from fringebench.run import run as run_scene
@@ -76,6 +78,7 @@ def run(
     if as_json:
         _print_json(result.score.to_dict())
         return
+    from fringebench.light import told
     from fringebench.tables import feature_table, fused_title, score_table
 
     console = _console()
@@ -83,6 +86,8 @@ def run(
     console.print(score_table(result.score, fused_title(len(result.stack.exposure_ms), fusion)))
     if result.score.features:
         console.print(feature_table(result.score))
+    if result.score.light:
+        console.print(told(result.score.light), highlight=False)
     spent = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in result.seconds.items())
     console.print(f"files in {result.folder}  ({spent})", highlight=False)
 
@@ -127,8 +132,12 @@ def render_scene(
     ),
     truth: Annotated[Path | None, typer.Option(help="Also write the truth maps here.")] = None,
     settings: Settings = [],  # noqa: B006
+    phase_error: PhaseError = None,
     seed: Seed = 0,
-    samples: Annotated[int | None, typer.Option(help="Light paths per pixel.", min=1)] = None,
+    samples: Annotated[
+        int | None,
+        typer.Option(help="Light paths per pixel; with --phase-error, of each pass.", min=1),
+    ] = None,
     depth: Annotated[
         int | None, typer.Option(help="Surfaces light may meet; 1: direct only.", min=1)
     ] = None,
@@ -136,19 +145,31 @@ def render_scene(
     as_json: AsJson = False,
 ) -> None:
     """Trace a scene's light transport, once, for all its patterns."""
-    loaded = scenes.load(scene, parse_overrides(settings))
+    loaded = scenes.load(scene, parse_overrides(settings, phase_error))
     import render
+    from fringebench.light import figures, told
 
     steps = _steps(progress)
     with steps.step("trace light") as done:
-        transport = render.trace(loaded, seed=seed, samples=samples, depth=depth, progress=done)
+        transport = render.trace(
+            loaded,
+            seed=seed,
+            samples=samples,
+            depth=depth,
+            progress=done,
+            phase_error_rad=phase_error,
+        )
         transport.write(output)
     if truth:
         with steps.step("truth"):
             render.truth(loaded, transport).write(truth)
     if as_json:
         written = {"transport": str(output), "truth": str(truth) if truth else None}
-        _print_json(written | {"samples": transport.samples, "depth": transport.depth})
+        traced = {"samples": transport.samples, "depth": transport.depth}
+        light = figures(transport)
+        _print_json(written | traced | ({"light": light} if light else {}))
+    elif light := figures(transport):
+        _console().print(told(light), highlight=False)
 
 
 @app.command(
@@ -303,6 +324,7 @@ register_view(app)
 
 def main() -> None:
     """Run the command line; errors a user can mend are one message and status 2."""
+    warnings.showwarning = _warn
     for stream in (sys.stdout, sys.stderr):
         # A terminal without micrometres, or a name that is no UTF-8, is no reason to lose an answer.
         if isinstance(stream, io.TextIOWrapper):
@@ -324,6 +346,16 @@ def main() -> None:
         # The reader of our output went away (| head): nothing is wrong, and nothing more can be said.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(0)
+
+
+def _warn(message: Warning | str, category: type[Warning], *where: Any, **line: Any) -> None:
+    """Ours in one line, as errors are; others as Python shows them."""
+    text = (
+        f"fringebench: {message}\n"
+        if issubclass(category, FringebenchWarning)
+        else warnings.formatwarning(message, category, *where[:2])
+    )
+    sys.stderr.write(text)
 
 
 def _console() -> Console:

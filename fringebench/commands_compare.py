@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 
 import scenes
-from fringebench.options import AsJson, SceneName, Seed, Settings, ShowProgress
+from fringebench.options import AsJson, PhaseError, SceneName, Seed, Settings, ShowProgress
 from fringebench.overrides import parse_overrides
 from fringebench.progress import Mode, Steps
 
@@ -34,12 +34,13 @@ def compare(
         ),
     ] = None,
     settings: Settings = [],  # noqa: B006
+    phase_error: PhaseError = None,
     seed: Seed = 0,
     progress: ShowProgress = Mode.AUTO,
     as_json: AsJson = False,
 ) -> None:
     """HDR strategies side by side: one transport, at equal total exposure time and at equal frame count."""
-    loaded = scenes.load(scene, parse_overrides(settings))
+    loaded = scenes.load(scene, parse_overrides(settings, phase_error))
     names = None
     if strategies is not None:
         names = [name.strip() for name in strategies.split(",") if name.strip()]

@@ -16,7 +16,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from fringebench.options import ShowProgress, scene_names
+from fringebench.options import PhaseError, ShowProgress, scene_names
 from fringebench.overrides import parse_overrides
 from fringebench.progress import Lines, Mode
 from scenes.errors import DatasetError
@@ -70,6 +70,7 @@ def dataset(
             "--set", metavar="KEY=VALUE", help="Override a key of the scene; may be repeated."
         ),
     ] = [],  # noqa: B006
+    phase_error: PhaseError = None,
     progress: ShowProgress = Mode.AUTO,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")] = False,
 ) -> None:
@@ -93,7 +94,7 @@ def dataset(
         if scene is None or count is None:
             raise DatasetError("give a scene and --count, or --verify or --repair with -o")
         status, answer = _build(
-            (scene, settings),
+            (scene, parse_overrides(settings, phase_error)),
             output,
             (count, seed, _splits(split)),
             (processes, scheduler, strict),
@@ -108,7 +109,7 @@ def dataset(
 
 
 def _build(
-    what: tuple[str, list[str]],
+    what: tuple[str, dict[str, Any]],
     where: str,
     size: tuple[int, int, dict[str, float] | None],
     means: tuple[int, str | None, bool],
@@ -118,8 +119,8 @@ def _build(
     from fringebench.datasets.build import build
     from fringebench.datasets.plan import Plan
 
-    (scene, settings), (count, seed, splits) = what, size
-    plan = Plan.of(scenes.load(scene, parse_overrides(settings)), count, seed, splits)
+    (scene, overrides), (count, seed, splits) = what, size
+    plan = Plan.of(scenes.load(scene, overrides), count, seed, splits)
     workers, scheduler, strict = means
     try:
         with _Bar("samples", mode) as bar:

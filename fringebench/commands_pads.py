@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 import scenes
-from fringebench.options import AsJson, SceneName, Seed, Settings, ShowProgress
+from fringebench.options import AsJson, PhaseError, SceneName, Seed, Settings, ShowProgress
 from fringebench.overrides import parse_overrides
 from fringebench.progress import Mode, Steps
 
@@ -32,12 +32,13 @@ def pads(
         bool, typer.Option("--gauge", help="Gauge study: repeats, sensors and places.")
     ] = False,
     settings: Settings = [],  # noqa: B006
+    phase_error: PhaseError = None,
     seed: Seed = 0,
     progress: ShowProgress = Mode.AUTO,
     as_json: AsJson = False,
 ) -> None:
     """Measure a board's paste as an inspection machine does: volume, area, height, offset and defects against the truth."""
-    loaded = scenes.load(scene, parse_overrides(settings))
+    loaded = scenes.load(scene, parse_overrides(settings, phase_error))
     from fringebench.pads import gauge as study
     from fringebench.pads import inspect, pad_budget
 

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from fringebench.options import AsJson, Fusion, SceneName, Seed, Settings, ShowProgress
+from fringebench.options import AsJson, Fusion, PhaseError, SceneName, Seed, Settings, ShowProgress
 from fringebench.progress import Mode, Steps
 from scenes.errors import FringebenchError
 from scenes.replace_file import replacing
@@ -110,6 +110,7 @@ def export(
 def budget(
     scene: SceneName,
     settings: Settings = [],  # noqa: B006
+    phase_error: PhaseError = None,
     seed: Seed = 0,
     repeats: Annotated[int, typer.Option(help="Decodes of each noisy variant.", min=1)] = 4,
     fusion: Fusion = "max-modulation",
@@ -125,7 +126,7 @@ def budget(
     from fringebench.budget import budget as run
     from fringebench.overrides import parse_overrides
 
-    loaded = scenes.load(scene, parse_overrides(settings))
+    loaded = scenes.load(scene, parse_overrides(settings, phase_error))
     folder = _prepared(output)
     steps = Steps(Console(stderr=True), progress)
     found = run(loaded, seed, repeats, steps, fusion=fusion, saturation=saturation)

@@ -39,6 +39,14 @@ Settings = Annotated[
         "--set", metavar="KEY=VALUE", help="Override a key of the scene; may be repeated."
     ),
 ]
+PhaseError = Annotated[
+    float | None,
+    typer.Option(
+        "--phase-error",
+        metavar="RAD",
+        help="Trace until light's own noise moves 95 % of lit pixels' phase by less (sampling.phase_error_rad).",
+    ),
+]
 Seed = Annotated[int, typer.Option(help="Seed of light paths and noise.", min=0)]
 Fusion = Annotated[str, typer.Option(help="Exposure fusion rule.", autocompletion=fusion_rules)]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]

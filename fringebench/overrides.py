@@ -7,13 +7,20 @@ from scenes.errors import SceneError
 from scenes.foreign_text import parse_toml
 
 
-def parse_overrides(settings: Iterable[str]) -> dict[str, Any]:
+def parse_overrides(
+    settings: Iterable[str], phase_error_rad: float | None = None
+) -> dict[str, Any]:
     """Dotted key -> value of each ``key=value``; `SceneError` for one without a key or an equals sign.
+
+    `phase_error_rad` is the value of ``--phase-error``, which goes before a setting of its key.
 
     >>> parse_overrides(["camera.resolution=[320, 240]", "sensor.kind=simple"])
     {'camera.resolution': [320, 240], 'sensor.kind': 'simple'}
     """
-    return dict(_one(setting) for setting in settings)
+    overrides = dict(_one(setting) for setting in settings)
+    if phase_error_rad is not None:
+        overrides["sampling.phase_error_rad"] = phase_error_rad
+    return overrides
 
 
 def _one(setting: str) -> tuple[str, Any]:

@@ -21,8 +21,24 @@ from fringebench.interrupts import patient
 # Seconds between plain lines.
 PLAIN_S = 3.0
 
-Report = Callable[[float], None]
-"""Called with the share of a step that is done, from 0 to 1."""
+Show = Callable[[float, str], None]
+"""Shows the share of a step that is done, from 0 to 1, and words about it."""
+
+
+class Report:
+    """Called with the share of a step that is done, from 0 to 1."""
+
+    def __init__(self, show: Show, check: Callable[[], None]) -> None:
+        self._show, self._check = show, check
+        self._detail = ""
+
+    def __call__(self, share: float) -> None:
+        self._show(share, self._detail)
+        self._check()
+
+    def detail(self, text: str) -> None:
+        """Words that stand beside the share from the next call on: which part is being done."""
+        self._detail = text
 
 
 class Mode(StrEnum):
@@ -58,30 +74,25 @@ class Steps:
         Ctrl-C waits for the next report or the block's end (`fringebench.interrupts`).
         """
         start = time.perf_counter()
-        with patient() as waiting, self._shown(name) as report:
-
-            def told(share: float) -> None:
-                report(share)
-                waiting.check()
-
-            yield told
+        with patient() as waiting, self._shown(name) as show:
+            yield Report(show, waiting.check)
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
 
     @contextmanager
-    def _shown(self, name: str) -> Iterator[Report]:
+    def _shown(self, name: str) -> Iterator[Show]:
         if self._console is None or self._mode is Mode.NONE:
             yield _silent
         elif self._mode is Mode.PLAIN:
-            with _lines(self._console, name) as report:
-                yield report
+            with _lines(self._console, name) as show:
+                yield show
         elif self._console.is_terminal:
-            with self._bar(self._console, name) as report:
-                yield report
+            with self._bar(self._console, name) as show:
+                yield show
         else:
             yield _silent
 
     @contextmanager
-    def _bar(self, console: Console, name: str) -> Iterator[Report]:
+    def _bar(self, console: Console, name: str) -> Iterator[Show]:
         outermost = self._bars is None
         if self._bars is None:
             # One display for steps within steps: a terminal has room for one.
@@ -90,8 +101,13 @@ class Steps:
         if outermost:
             shown.start()
         task = shown.add_task(name, total=None)
+
+        def show(share: float, detail: str) -> None:
+            words = f"{name}: {detail}" if detail else name
+            shown.update(task, description=words, completed=share, total=1.0)
+
         try:
-            yield lambda share: shown.update(task, completed=share, total=1.0)
+            yield show
         finally:
             shown.remove_task(task)
             if outermost:
@@ -141,7 +157,7 @@ class Lines:
 
 
 @contextmanager
-def _lines(console: Console, name: str) -> Iterator[Report]:
+def _lines(console: Console, name: str) -> Iterator[Show]:
     lines = Lines(console, name)
     start = time.monotonic()
     lines.say("started")
@@ -149,5 +165,5 @@ def _lines(console: Console, name: str) -> Iterator[Report]:
     lines.say(f"done in {time.monotonic() - start:.1f} s")
 
 
-def _silent(share: float) -> None:
+def _silent(share: float, detail: str) -> None:
     pass

@@ -5,15 +5,25 @@ import os
 import platform
 from collections.abc import Mapping
 from datetime import UTC, datetime
+from typing import Any
 
 from evaluation.report import Grid, Listing, Section
+from fringebench.light import told
 
 STEPS_LISTED = 8
 PACKAGES = ("fringebench", "mitsuba", "drjit", "numpy", "OpenEXR")
 
 
-def provenance(toml: str, seed: int | None, seconds: Mapping[str, float]) -> Section:
-    """The report's last section: how to make the same thing again; without a scene where `toml` is empty."""
+def provenance(
+    toml: str,
+    seed: int | None,
+    seconds: Mapping[str, float],
+    light: Mapping[str, Any] | None = None,
+) -> Section:
+    """The report's last section: how to make the same thing again; without a scene where `toml` is empty.
+
+    `light` is `fringebench.light.figures`.
+    """
     versions = ", ".join(f"{name} {importlib.metadata.version(name)}" for name in PACKAGES)
     rows = [
         ["made", datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")],
@@ -24,6 +34,8 @@ def provenance(toml: str, seed: int | None, seconds: Mapping[str, float]) -> Sec
             f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}",
         ],
     ]
+    if light is not None:
+        rows.append(["light", told(light)])
     if len(seconds) > STEPS_LISTED:
         rows.append(["time", f"{sum(seconds.values()):.1f} s in {len(seconds)} steps"])
     elif seconds:

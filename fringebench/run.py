@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import decode
@@ -10,6 +10,7 @@ import evaluation
 import render
 import scenes
 from fringebench.alone import alone
+from fringebench.light import figures
 from fringebench.progress import Steps
 from scenes.errors import FileError
 
@@ -69,7 +70,7 @@ def run(
             reconstruction = decode.reconstruct(stack, fusion=fusion)
         write("reconstruction.exr", reconstruction.write)
         with step("score"):
-            score = evaluation.score(reconstruction, truth)
+            score = replace(evaluation.score(reconstruction, truth), light=figures(transport))
             naive = evaluation.score(decode.reconstruct(middle_exposure(stack), **NAIVE), truth)
         write("scores.json", score.write)
         write("cloud.ply", lambda path: evaluation.write_cloud(path, reconstruction, truth))

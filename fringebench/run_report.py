@@ -81,7 +81,7 @@ def run_report(run: "Run", spent: dict[str, float]) -> Report:
             ),
             Section("Height", [Picture(drawn["height"], CAPTIONS["height"]), _surface(rec, truth)]),
             Section("Error", wrong),
-            provenance(scenes.dumps(run.scene), stack.seed, spent),
+            provenance(scenes.dumps(run.scene), stack.seed, spent, run.score.light),
         ],
     )
 

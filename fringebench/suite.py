@@ -14,6 +14,7 @@ import render
 import scenes
 from fringebench.progress import Steps
 from scenes.errors import DecodeError
+from scenes.patterns import Axis
 from scenes.rig import Projection
 
 Floats = NDArray[np.float64]
@@ -168,21 +169,25 @@ def finest_px(scene: scenes.Scene) -> float:
     return min(frame.period_px for frame in scene.frames if frame.kind == "fringe")
 
 
-def column_px(camera: Projection, light: Projection, height_mm: float) -> Floats:
-    """Projector column (row, col) that a plane at that height shows each camera pixel."""
+def column_px(
+    camera: Projection, light: Projection, height_mm: float, axis: Axis = "column"
+) -> Floats:
+    """Projector column (or row) that a plane at that height shows each camera pixel, (row, col)."""
     origin, direction = camera.rays(camera.pixel_centres())
     distance = (height_mm - origin[..., 2]) / direction[..., 2]
     pixels, _ = light.project(origin + distance[..., None] * direction)
-    column: Floats = pixels[..., 0]
+    column: Floats = pixels[..., 0 if axis == "column" else 1]
     return column
 
 
-def mm_per_rad(calibration: scenes.Calibration, period_px: float) -> float:
-    """Height per radian of column phase, about the middle of the working volume, median over the image."""
+def mm_per_rad(calibration: scenes.Calibration, period_px: float, axis: Axis = "column") -> float:
+    """Height per radian of phase along an axis, about the middle of the working volume, median over the image."""
     camera, light = calibration.camera.projection(), calibration.projectors[0].projection()
     low, high = calibration.height_range_mm
     middle, small = (low + high) / 2, (high - low) * 1e-3
-    shift = column_px(camera, light, middle + small) - column_px(camera, light, middle - small)
+    shift = column_px(camera, light, middle + small, axis) - column_px(
+        camera, light, middle - small, axis
+    )
     return float(abs(2 * small / np.nanmedian(shift)) * period_px / (2 * np.pi))
 
 

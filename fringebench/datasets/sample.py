@@ -133,6 +133,8 @@ class _Content:
             **_coco(drawn, index),
             "board": board_truth(drawn).model_dump(mode="json") if drawn.board else None,
         }
+        if transport.phase_error is not None:
+            labels["light"] = transport.phase_error.to_dict() | {"samples": transport.samples}
         return cls(drawn, stack, truth, labels)
 
     @property
