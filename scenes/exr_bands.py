@@ -7,6 +7,7 @@ band, and the chunks are taken from there; reading goes the other way. Every byt
 that it writes at once.
 """
 
+import os
 import struct
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -57,10 +58,7 @@ def write(
     with replacing(path) as beside, beside.open("r+b") as file:
         for band in _bands(rows, columns * pixel_bytes, chunk_rows):
             header["dataWindow"] = ((0, band.start), (columns - 1, band.stop - 1))
-            planes = {
-                name: np.ascontiguousarray(plane[band], dtype) for name, plane in channels.items()
-            }
-            small = _encoded(path, header, planes)
+            small = _encoded(path, header, channels, band, dtype)
             window, end = _layout(small)
             if not chunk:
                 file.write(small.getbuffer()[:end])
@@ -71,6 +69,8 @@ def write(
             begins[chunk : chunk + count] = theirs + (file.tell() - start)
             file.write(small.getbuffer()[start:])
             chunk += count
+            # Not beside the next one.
+            del small, theirs
         file.seek(window)
         file.write(struct.pack("<4i", 0, 0, columns - 1, rows - 1))
         file.seek(end)
@@ -78,18 +78,26 @@ def write(
 
 
 def _bands(rows: int, row_bytes: int, chunk_rows: int) -> Iterator[slice]:
-    """All rows, from top to bottom, in bands of whole chunks."""
-    step = chunk_rows * max(BAND_BYTES // max(row_bytes * chunk_rows, 1), 1)
+    """All rows, from top to bottom, in bands of whole chunks, as many as keep all cores at work."""
+    chunks, cores = max(BAND_BYTES // max(row_bytes * chunk_rows, 1), 1), os.cpu_count() or 1
+    step = chunk_rows * (chunks if chunks < cores else chunks - chunks % cores)
     for top in range(0, rows, step):
         yield slice(top, min(top + step, rows))
 
 
-def _encoded(path: str | Path, header: Mapping[str, Any], channels: Channels) -> BytesIO:
+def _encoded(
+    path: str | Path,
+    header: Mapping[str, Any],
+    channels: Channels,
+    band: slice,
+    dtype: DTypeLike | None,
+) -> BytesIO:
+    """A file of those rows alone."""
     small = BytesIO()
+    planes = {name: np.ascontiguousarray(plane[band], dtype) for name, plane in channels.items()}
     with exr.library() as said:
         try:
-            # The library replaces the channels by its own.
-            OpenEXR.File(dict(header), dict(channels)).write(small)
+            OpenEXR.File(dict(header), planes).write(small)
         except (RuntimeError, ValueError, TypeError) as error:
             raise FileError(f"cannot write '{path}': {exr.first_line(said, error)}") from error
     return small
