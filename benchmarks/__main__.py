@@ -17,7 +17,7 @@ from rich.console import Console
 
 from benchmarks import machine
 from benchmarks.process import ProgramFailedError
-from benchmarks.result import SCHEMA, Result, console, markdown, not_run, show
+from benchmarks.result import SCHEMA, Result, between, console, markdown, not_run, show
 from scenes.errors import FringebenchError
 
 MODULES = {
@@ -62,7 +62,12 @@ def main() -> int:
     parser.add_argument(
         "--json", type=Path, metavar="FILE", help="results as JSON (docs/benchmarks.md)"
     )
-    parser.add_argument("--markdown", type=Path, metavar="FILE", help="tables as Markdown")
+    parser.add_argument(
+        "--markdown",
+        type=Path,
+        metavar="FILE",
+        help="tables as Markdown; where FILE has the markers of docs/benchmarks.md, between them",
+    )
     given = parser.parse_args()
     progress, out = Console(stderr=True), console()
     about = machine.describe()
@@ -84,7 +89,7 @@ def main() -> int:
     )
     out.print(head, highlight=False)
     for name, results in found.items():
-        show(out, MODULES[name].replace("`", ""), results)
+        show(out, MODULES[name].replace("`", ""), results, not given.quick)
     if given.json:
         everything: dict[str, Any] = {
             "schema": SCHEMA,
@@ -98,8 +103,11 @@ def main() -> int:
         }
         given.json.write_text(json.dumps(everything, indent=2, allow_nan=False) + "\n", "utf-8")
     if given.markdown:
-        tables = [markdown(MODULES[name], results) for name, results in found.items()]
-        given.markdown.write_text("\n".join([head, "", *tables]), "utf-8")
+        tables = [
+            markdown(MODULES[name], results, not given.quick) for name, results in found.items()
+        ]
+        page = given.markdown.read_text("utf-8") if given.markdown.is_file() else ""
+        given.markdown.write_text(between(page, "\n".join([head, "", *tables])), "utf-8")
     missed = [r for results in found.values() for r in results if r.met is False]
     return int(not whole or bool(missed and not given.quick))
 

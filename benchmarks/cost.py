@@ -7,6 +7,7 @@ ladder, where the constant part (tessellation, building the scene) weighs least.
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 import render
 import scenes
@@ -88,7 +89,7 @@ def _row(name: str, sizes: Sequence[float], unit: str, turns: Turns, where: str)
     )
 
 
-def exponent(sizes: Sequence[float], times: Sequence[float]) -> float:
+def exponent(sizes: Sequence[float], times: Sequence[float] | NDArray[np.float64]) -> float:
     """Slope of log time against log size over the upper half of a ladder, at least its last two rungs."""
     kept = max(2, (len(sizes) + 1) // 2)
     return float(np.polyfit(np.log(sizes[-kept:]), np.log(times[-kept:]), 1)[0])

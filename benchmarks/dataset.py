@@ -65,7 +65,7 @@ def run(scene: scenes.Scene, count: int, workers: int, core: int | None) -> Cloc
 
 def measure(quick: bool) -> list[Result]:
     """Rates of one worker on one core and of two, round by round."""
-    size, more, rounds = ((160, 120), 3, 1) if quick else ((640, 480), 6, 3)
+    size, more, rounds = ((160, 120), 3, 1) if quick else ((640, 480), 6, 2)
     scene = scenes.load("spi", {"camera.resolution": list(size)})
     rates: dict[int, list[float]] = {1: [], 2: []}
     processor: dict[int, list[float]] = {1: [], 2: []}
@@ -99,9 +99,6 @@ def memory(scene: scenes.Scene, count: int) -> dict[str, Any]:
     resident = np.array(run(scene, count, 1, None).resident_mb)
     steady = resident[10:]
     slope = np.polyfit(np.arange(len(steady)), steady, 1)[0]
-    print(
-        f"  resident MB at samples 1, 10, 50, 100, 150, 200: {[round(resident[i - 1]) for i in (1, 10, 50, 100, 150, 200) if i <= count]}"
-    )
     return {
         "resident_mb_at_10": float(resident[9]),
         "resident_mb_at_end": float(resident[-1]),

@@ -124,7 +124,7 @@ def _measured(
 
 def written_bytes(rec: decode.Reconstruction) -> int:
     """Bytes of every image of a result."""
-    images = [
+    images: list[NDArray[Any]] = [
         rec.height_mm,
         rec.sigma_mm,
         rec.modulation_dn,

@@ -23,7 +23,7 @@ def measure(quick: bool) -> list[Result]:
     draw = seeds(3)
     paths = [Path(shown, sampler) for sampler in SAMPLERS]
     works = [tracing(shown, draw)]
-    works += [lambda one=one: one.render(0, SAMPLES, draw()) for one in paths]
+    works += [one.one_frame(SAMPLES, draw) for one in paths]
     turns = take_turns(works, rounds)
     note = f"bench, {side} x {side}, {SAMPLES} samples, depth 3"
     rows = [

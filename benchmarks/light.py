@@ -45,6 +45,10 @@ class Path:
         image = mi.render(self._scenes[frame], sensor=self._sensor, spp=samples, seed=seed)
         return np.asarray(np.array(image)[..., 0], np.float32)
 
+    def one_frame(self, samples: int, draw: Callable[[], int]) -> Callable[[], Any]:
+        """A render of the first frame, each time with another seed."""
+        return lambda: self.render(0, samples, draw())
+
 
 def seeds(seed: int) -> Callable[[], int]:
     """Draws seeds: Mitsuba's random numbers of neighbouring ones are correlated."""

@@ -25,9 +25,7 @@ def measure(quick: bool) -> list[Result]:
     )
     draw = seeds(5)
     path = Path(shown, "multijitter")
-    turns = take_turns(
-        [tracing(shown, draw), lambda: path.render(0, shown.sampling.samples, draw())], rounds
-    )
+    turns = take_turns([tracing(shown, draw), path.one_frame(shown.sampling.samples, draw)], rounds)
     frames = [render.trace(shown, seed=draw()).frames()[:STEPS].astype(np.float64) for _ in "ab"]
     # Two runs differ by the errors of both.
     errors = Judge(shown, phase(frames[1])).errors(frames[0])

@@ -11,6 +11,7 @@ from rich.table import Table
 SCHEMA = 1
 # Columns of a table where there is no terminal.
 WIDTH = 170
+BEGIN, END = "<!-- measured -->", "<!-- end of measured -->"
 Sense = Literal["at least", "at most"]
 
 
@@ -74,15 +75,15 @@ def digits(number: float | None, unit: str = "") -> str:
     return f"{text} {unit}".strip()
 
 
-def cells(result: Result) -> tuple[str, ...]:
-    """A result's row: name, value, baseline, ratio, ratio by processor time, target."""
+def cells(result: Result, judged: bool = True) -> tuple[str, ...]:
+    """A result's row: name, value, baseline, ratio, ratio by processor time, target and, if `judged`, whether it is met."""
     target = result.target
     promised = ""
     if target:
         unit = result.unit if target.of == "value" else ""
         verdict = {True: "met", False: "MISSED", None: "?"}[result.met]
         promised = f"{'>=' if target.sense == 'at least' else '<='} {target.limit:g} {unit}".strip()
-        promised += f": {verdict}"
+        promised += f": {verdict}" if judged else ""
     beside = digits(result.baseline_value, result.unit)
     return (
         result.name,
@@ -97,11 +98,12 @@ def cells(result: Result) -> tuple[str, ...]:
 COLUMNS = ("measured", "value", "baseline, same run", "ratio", "by processor", "target")
 
 
-def show(console: Console, title: str, results: Sequence[Result]) -> None:
+def show(console: Console, title: str, results: Sequence[Result], judged: bool = True) -> None:
     """Print the table, and the notes below it."""
     shown = Table(*COLUMNS, title=title, title_justify="left", title_style="bold")
     for result in results:
-        shown.add_row(*cells(result), style="red" if result.met is False else None)
+        missed = judged and result.met is False
+        shown.add_row(*cells(result, judged), style="red" if missed else None)
     console.print(shown)
     for name, note in notes(results):
         console.print(f"  {name}: {note}", highlight=False, markup=False, style="dim")
@@ -124,12 +126,19 @@ def console() -> Console:
     return out if out.is_terminal else Console(width=WIDTH)
 
 
-def markdown(title: str, results: Sequence[Result]) -> str:
+def markdown(title: str, results: Sequence[Result], judged: bool = True) -> str:
     """The same as Markdown, notes below."""
     lines = [f"### {title}", "", "| " + " | ".join(COLUMNS) + " |", "|---" * len(COLUMNS) + "|"]
-    lines += ["| " + " | ".join(cells(result)) + " |" for result in results]
+    lines += ["| " + " | ".join(cells(result, judged)) + " |" for result in results]
     below = [f"- {name}: {note}" for name, note in notes(results)]
     return "\n".join([*lines, "", *below, *([""] if below else [])])
+
+
+def between(text: str, tables: str) -> str:
+    """A page with what stands between its markers replaced; the tables alone for a page without markers."""
+    before, begin, rest = text.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    return f"{before}{begin}\n{tables}\n{end}{after}" if begin and end else tables
 
 
 def main(name: str, doc: str | None, measure: Callable[[bool], list[Result]]) -> int:
@@ -140,5 +149,5 @@ def main(name: str, doc: str | None, measure: Callable[[bool], list[Result]]) ->
     parser.add_argument("--quick", action="store_true", help="small sizes; targets are not judged")
     quick = parser.parse_args().quick
     results = measure(quick)
-    show(console(), name, results)
+    show(console(), name, results, judged=not quick)
     return int(not quick and any(result.met is False for result in results))

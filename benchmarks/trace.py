@@ -20,7 +20,7 @@ def measure(quick: bool) -> list[Result]:
     draw = seeds(1)
     paths = [Path(shown, sampler) for sampler in SAMPLERS]
     works = [tracing(shown, draw)]
-    works += [lambda one=one: one.render(0, samples, draw()) for one in paths]
+    works += [one.one_frame(samples, draw) for one in paths]
     turns = take_turns(works, rounds)
     frames = len(shown.patterns.frames())
     return [
