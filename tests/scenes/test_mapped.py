@@ -1,0 +1,181 @@
+"""Frames that lie in a file are the frames that lie in memory, and memory stays free of them."""
+
+import mmap
+import os
+import subprocess
+import sys
+import tempfile
+import textwrap
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import decode
+import render
+import scenes
+from scenes import mapped, memory
+from scenes.errors import TooLargeError
+from tests.scenes.test_exr import full_disk
+
+ROOT = Path(__file__).parents[2]
+
+
+def in_a_file(array: np.ndarray) -> bool:
+    base: Any = array
+    while isinstance(base, np.ndarray):
+        base = base.base
+    return isinstance(base.obj if isinstance(base, memoryview) else base, mmap.mmap)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where temporary files go."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    return tmp_path
+
+
+def test_frames_in_a_file_are_the_frames_in_memory(
+    folder: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path_factory.mktemp("out")
+    light = render.trace(scenes.load("bench", {"camera.resolution": [67, 49]}), samples=2)
+    stack = render.expose(light)
+    stack.write(out / "held.exr")
+    heights = decode.reconstruct(stack).height_mm
+    monkeypatch.setattr(mapped, "HELD", 1000)
+    other = render.expose(light)
+    other.write(out / "mapped.exr")
+    back = scenes.Stack.read(out / "held.exr")
+    assert not in_a_file(stack.frames)
+    for one in (other, back):
+        assert in_a_file(one.frames)
+        assert np.array_equal(one.frames, stack.frames)
+        assert np.array_equal(decode.reconstruct(one).height_mm, heights, equal_nan=True)
+    assert (out / "mapped.exr").read_bytes() == (out / "held.exr").read_bytes()
+    # The file has no name: nothing to clean up, however the process ends.
+    assert list(folder.iterdir()) == []
+
+
+def test_little_free_memory_sends_arrays_to_the_disk(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def ask() -> np.ndarray:
+        return mapped.array((1000,), np.float64, "this", "go away")
+
+    assert not in_a_file(ask())
+    monkeypatch.setattr(memory, "available_bytes", lambda: 10_000)
+    assert in_a_file(ask())
+    # Better in memory than not at all.
+    monkeypatch.setattr(mapped, "free_disk_bytes", lambda folder: 100)
+    assert not in_a_file(ask())
+    monkeypatch.setattr(memory, "available_bytes", lambda: 5000)
+    with pytest.raises(TooLargeError, match=rf"this needs.*'{folder}' are free: go away, or let"):
+        ask()
+
+
+def test_a_disk_that_fills_is_told_before_anything_is_written(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A page that finds no room on the disk ends the process by a signal.
+    monkeypatch.setattr(mapped, "HELD", 0)
+    with full_disk(100_000), pytest.raises(TooLargeError, match=r"no room.*: go away"):
+        mapped.array((100_001,), np.uint8, "this", "go away")
+    assert list(folder.iterdir()) == []
+
+
+@pytest.mark.skipif(not hasattr(os, "posix_fallocate"), reason="no such call here")
+def test_without_a_call_that_reserves_zeros_do(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(os, "posix_fallocate")
+    monkeypatch.setattr(mapped, "HELD", 0)
+    monkeypatch.setattr(mapped, "_ZEROS", bytes(1000))
+    array = mapped.array((2500,), np.uint8, "this", "go away")
+    assert in_a_file(array)
+    array[:] = 7
+    assert array.sum() == 7 * 2500
+
+
+def test_temporary_files_go_to_a_disk_unless_the_user_says_otherwise(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    memories: Callable[..., None] = lambda *names: monkeypatch.setattr(  # noqa: E731
+        mapped, "_in_memory", lambda path: str(path) in names
+    )
+    monkeypatch.delenv("TMPDIR", raising=False)
+    memories(str(folder))
+    assert mapped._folder() == Path("/var/tmp")
+    memories(str(folder), "/var/tmp")
+    assert mapped._folder() == folder
+    memories(str(folder))
+    monkeypatch.setenv("TMPDIR", str(folder))
+    assert mapped._folder() == folder
+
+
+@pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="Linux's files in memory")
+def test_a_folder_in_memory_is_known() -> None:
+    assert mapped._in_memory(Path("/dev/shm"))
+    assert not mapped._in_memory(Path("/proc"))
+
+
+PEAK = """
+    import dataclasses, os, re, resource, sys
+    os.cpu_count = lambda: 2  # each thread's stack counts
+    import numpy as np
+    import decode, render, scenes
+    from scenes import exr_bands, mapped
+    from scenes.errors import TooLargeError
+
+    path, steps, mapped.HELD = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
+    exr_bands.BAND_BYTES = 2**24
+    size = {"camera.resolution": [1200, 900], "patterns.steps": steps}
+    own = {"patterns.periods_px": [16.0, 1024.0], "exposures.relative": [1.0], "sensor.read_noise_e": 0.0}
+    small = scenes.load("bench", {"camera.resolution": [60, 45], "patterns.steps": steps} | own)
+    light = render.trace(small, samples=1)
+    decode.reconstruct(render.expose(light))
+
+    def wide(image):  # what is seen does not matter
+        return np.tile(image, [1] * (image.ndim - 2) + [20, 20])
+
+    large = dataclasses.replace(
+        light, total=wide(light.total), direct=wide(light.direct), ambient=wide(light.ambient),
+        label=wide(light.label), scene=scenes.load("bench", size | own),
+    )
+    status = open("/proc/self/status").read()
+    limit = int(re.search(r"VmData:\\s+(\\d+)", status)[1]) * 1024 + int(sys.argv[4])
+    resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+    try:
+        stack = render.expose(large, noise=False)
+        stack.write(path)
+        del stack, large
+        print(decode.reconstruct(scenes.Stack.read(path)).valid.any())
+    except (TooLargeError, MemoryError) as error:
+        print("refused", error)
+    """
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of private memory are Linux's")
+@pytest.mark.slow
+def test_memory_does_not_grow_with_frames(tmp_path: Path) -> None:
+    """Exposed, written, read and decoded in less memory than the frames take; held in memory, they do not fit."""
+    # 120 frames of 1200 x 900 pixels in uint16: 247 MiB, and twice that as they are stored.
+    room = 160 * 2**20
+    outcomes = {}
+    for frames, held in ((12, 0), (120, 0), (120, 2**30)):
+        done = subprocess.run(
+            [
+                *(sys.executable, "-c", textwrap.dedent(PEAK), str(tmp_path / "a.exr")),
+                *map(str, (frames // 2, held, room)),
+            ],
+            env=os.environ | {"PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=300,
+        )
+        assert done.returncode == 0, (frames, held, done.stderr[-500:])
+        outcomes[frames, held] = done.stdout.split()[0]
+    assert outcomes == {(12, 0): "True", (120, 0): "True", (120, 2**30): "refused"}
