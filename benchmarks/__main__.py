@@ -16,9 +16,7 @@ from typing import Any
 from rich.console import Console
 
 from benchmarks import machine
-from benchmarks.process import ProgramFailedError
 from benchmarks.result import SCHEMA, Result, between, console, markdown, not_run, show
-from scenes.errors import FringebenchError
 
 MODULES = {
     "cold": "Cold start",
@@ -43,8 +41,8 @@ def measured(name: str, quick: bool) -> tuple[list[Result], bool]:
     module = importlib.import_module(f"benchmarks.{name}")
     try:
         return module.measure(quick), True
-    except (FringebenchError, ProgramFailedError, AssertionError) as error:
-        return [not_run(name, str(error))], False
+    except Exception as error:
+        return [not_run(name, f"{type(error).__name__}: {error}")], False
 
 
 def main() -> int:
@@ -76,20 +74,20 @@ def main() -> int:
     found: dict[str, list[Result]] = {}
     spent: dict[str, float] = {}
     whole = True
+    out.print(machine.sentence(about), highlight=False)
     for name in given.only or known:
         start = time.perf_counter()
         found[name], ran = measured(name, given.quick)
         spent[name] = round(time.perf_counter() - start, 1)
         whole &= ran
+        show(out, MODULES[name].replace("`", ""), found[name], not given.quick)
         progress.print(f"{name}: {spent[name]:.0f} s", highlight=False)
     about["load_after"] = machine.load()
-    head = (
-        f"{made}{', quick: small sizes, no target judged' if given.quick else ''}. {machine.sentence(about)}. "
+    when = (
+        f"{made}{', quick: small sizes, no target judged' if given.quick else ''}. "
         f"Load {about['load_before']} before, {about['load_after']} after; {sum(spent.values()):.0f} s."
     )
-    out.print(head, highlight=False)
-    for name, results in found.items():
-        show(out, MODULES[name].replace("`", ""), results, not given.quick)
+    out.print(when, highlight=False)
     if given.json:
         everything: dict[str, Any] = {
             "schema": SCHEMA,
@@ -107,7 +105,9 @@ def main() -> int:
             markdown(MODULES[name], results, not given.quick) for name, results in found.items()
         ]
         page = given.markdown.read_text("utf-8") if given.markdown.is_file() else ""
-        given.markdown.write_text(between(page, "\n".join([head, "", *tables])), "utf-8")
+        given.markdown.write_text(
+            between(page, "\n".join([f"{when} {machine.sentence(about)}.", "", *tables])), "utf-8"
+        )
     missed = [r for results in found.values() for r in results if r.met is False]
     return int(not whole or bool(missed and not given.quick))
 

@@ -80,8 +80,8 @@ def test_scatter_about_the_local_fit_is_not_the_noise() -> None:
     noise = 0.01 * np.random.default_rng(0).standard_normal(y.shape)
     found = np.sqrt(np.mean(scatter(smooth + noise)[inside] ** 2))
     # The mean of n squares of correlation rho varies by 2 sum(rho^2) / n, the root by half of that; the centre's weight in
-    # the fit is 0.06, so sum(rho^2) is about 1 + 4 x 0.06. Five sigma.
-    assert found == pytest.approx(0.01, rel=5.0 * 0.5 * np.sqrt(2.0 * 1.5 / noise[inside].size))
+    # the fit is 0.044, and sum(rho^2) 1.09. Five sigma.
+    assert found == pytest.approx(0.01, rel=5.0 * 0.5 * np.sqrt(2.0 * 1.09 / noise[inside].size))
 
 
 def test_an_exponent_is_not_the_power() -> None:
