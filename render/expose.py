@@ -130,6 +130,7 @@ def _fill(
         # NumPy lets go of the interpreter while it draws and computes; the loop lets errors through.
         try:
             for done, _ in enumerate(pool.map(take, range(len(shown))), 1):
+                mapped.let_go(frames)
                 if progress:
                     progress(done / len(shown))
         except BaseException:

@@ -1,5 +1,6 @@
 """Linear light: what each camera pixel returns of each basis channel."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -7,9 +8,10 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes import exr
+from scenes import exr, exr_bands, mapped
 from scenes.basis import Basis, Channel
 from scenes.errors import FileError, RenderError, SceneError
+from scenes.exr_bands import Bands
 from scenes.load import dumps, parse
 from scenes.scene import Sampling, Scene
 
@@ -114,41 +116,63 @@ class Transport:
     @classmethod
     def read(cls, path: str | Path) -> Self:
         """Read a transport file; raises `FileError` on anything but a whole one of this version."""
-        channels, meta = exr.read(path, KIND)
-        try:
-            sampling = Sampling(samples=meta["samples"], depth=meta["depth"])
-            bases = tuple(
-                Basis(
-                    tuple(
-                        Channel(**c | {"values": tuple(c["values"])}) for c in stored["channels"]
-                    ),
-                    np.asarray(stored["weights"], dtype=np.float64),
+        with exr_bands.reading(path, KIND) as bands:
+            meta = bands.meta
+            try:
+                sampling = Sampling(samples=meta["samples"], depth=meta["depth"])
+                bases = tuple(
+                    Basis(
+                        tuple(
+                            Channel(**c | {"values": tuple(c["values"])})
+                            for c in stored["channels"]
+                        ),
+                        np.asarray(stored["weights"], dtype=np.float64),
+                    )
+                    for stored in meta["bases"]
                 )
-                for stored in meta["bases"]
-            )
-            most = max(len(basis.channels) for basis in bases)
-            light = np.zeros((2, len(bases), most, *channels["ambient"].shape), np.float32)
+                light, ambient, label = _images(bands, bases, f"'{path}'")
+                return cls(
+                    light[0],
+                    light[1],
+                    ambient,
+                    label,
+                    tuple(str(label) for label in meta["labels"]),
+                    bases,
+                    parse(str(meta["scene"]), where=str(path)),
+                    int(meta["seed"]),
+                    sampling.samples,
+                    sampling.depth,
+                    _phase_error(meta.get("phase_error")),
+                )
+            except (KeyError, TypeError, ValueError, SceneError) as error:
+                raise FileError(
+                    f"'{path}': its transport header or channels are damaged: {error}"
+                ) from error
+
+
+def _images(
+    bands: Bands, bases: Sequence[Basis], source: str
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint16]]:
+    """Light (total and direct, projector, channel, row, col), ambient light and labels; `KeyError` if one is missing."""
+    most = max(len(basis.channels) for basis in bases)
+    ambient, label = np.empty((0, 0), np.float32), np.empty((0, 0), np.uint16)
+    light: NDArray[Any] | None = None
+    for rows, channels in bands:
+        # A header may claim any size; a band that could be read bears out the width.
+        if light is None:
+            shape = (2, len(bases), most, *bands.size)
+            light = mapped.array(shape, np.float32, source, "read it on a larger machine")
+            ambient, label = np.empty(bands.size, np.float32), np.empty(bands.size, np.uint16)
+        for images, kind in zip(light, ("total", "direct"), strict=True):
             for p, basis in enumerate(bases):
+                images[p, len(basis.channels) :, rows] = 0.0
                 for c in range(len(basis.channels)):
-                    light[0, p, c] = channels[f"P{p}.total.C{c:03d}"]
-                    light[1, p, c] = channels[f"P{p}.direct.C{c:03d}"]
-            return cls(
-                light[0],
-                light[1],
-                channels["ambient"],
-                exr.whole(channels["label"], np.uint16),
-                tuple(str(label) for label in meta["labels"]),
-                bases,
-                parse(str(meta["scene"]), where=str(path)),
-                int(meta["seed"]),
-                sampling.samples,
-                sampling.depth,
-                _phase_error(meta.get("phase_error")),
-            )
-        except (KeyError, TypeError, ValueError, SceneError) as error:
-            raise FileError(
-                f"'{path}': its transport header or channels are damaged: {error}"
-            ) from error
+                    images[p, c, rows] = channels[f"P{p}.{kind}.C{c:03d}"]
+        ambient[rows] = channels["ambient"]
+        label[rows] = exr.whole(channels["label"], np.uint16)
+        mapped.let_go(light)
+    assert light is not None  # an image has a row
+    return light, ambient, label
 
 
 def _phase_error(stored: dict[str, Any] | None) -> PhaseError | None:

@@ -20,7 +20,7 @@ import numpy as np
 import OpenEXR
 from numpy.typing import DTypeLike, NDArray
 
-from scenes import exr
+from scenes import exr, mapped
 from scenes.errors import FileError
 from scenes.exr import Channels
 from scenes.memory import room_for
@@ -71,6 +71,8 @@ def write(
             chunk += count
             # Not beside the next one.
             del small, theirs
+            for plane in channels.values():
+                mapped.let_go(plane)
         file.seek(window)
         file.write(struct.pack("<4i", 0, 0, columns - 1, rows - 1))
         file.seek(end)

@@ -59,6 +59,19 @@ def array(shape: Sequence[int], dtype: DTypeLike, what: str, remedy: str) -> NDA
     return np.frombuffer(pages, dtype).reshape(shape)
 
 
+def let_go(array: NDArray[Any]) -> None:
+    """Take an array's file out of this process's memory until it is touched again; one in memory stays there.
+
+    The system would, when it needs room; but what it counts as this process's is less, and soon.
+    """
+    owner: Any = array
+    while isinstance(owner, np.ndarray):
+        owner = owner.base
+    pages = owner.obj if isinstance(owner, memoryview) else owner
+    if isinstance(pages, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
+        pages.madvise(mmap.MADV_DONTNEED)
+
+
 def free_disk_bytes(folder: Path) -> int:
     """What may still be written there; 0 if nothing."""
     try:

@@ -147,5 +147,6 @@ def _frames(
                 plane[rows] = stored
             if dtype.kind != "f" and not np.array_equal(plane[rows], stored):
                 raise ValueError(f"channel {name} holds numbers that are no {dtype}")
+        mapped.let_go(frames)
     assert frames is not None  # an image has a row
     return frames

@@ -49,6 +49,11 @@ def test_frames_in_a_file_are_the_frames_in_memory(
     other = render.expose(light)
     other.write(out / "mapped.exr")
     back = scenes.Stack.read(out / "held.exr")
+    light.write(out / "light.exr")
+    again = render.Transport.read(out / "light.exr")
+    assert in_a_file(again.total)
+    for kind in ("total", "direct", "ambient", "label"):
+        assert np.array_equal(getattr(again, kind), getattr(light, kind)), kind
     assert not in_a_file(stack.frames)
     for one in (other, back):
         assert in_a_file(one.frames)
@@ -57,6 +62,18 @@ def test_frames_in_a_file_are_the_frames_in_memory(
     assert (out / "mapped.exr").read_bytes() == (out / "held.exr").read_bytes()
     # The file has no name: nothing to clean up, however the process ends.
     assert list(folder.iterdir()) == []
+
+
+@pytest.mark.parametrize("held", [0, 2**30])
+def test_what_is_let_go_is_still_there(
+    held: int, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mapped, "HELD", held)
+    array = mapped.array((3, 100_000), np.uint16, "this", "go away")
+    array[:] = np.arange(3)[:, None]
+    for part in (array, array[1], array[:, 5:].reshape(-1), np.zeros(3)):
+        mapped.let_go(part)
+    assert np.array_equal(array.sum(axis=1), [0, 100_000, 200_000])
 
 
 def test_little_free_memory_sends_arrays_to_the_disk(
