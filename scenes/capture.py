@@ -246,9 +246,11 @@ def check_depth(frames: NDArray[Any], bits: int) -> None:
         )
     full = [n for n in range(8, bits) if brightest == 2**n - 1]
     # a sample exactly at a shorter converter's end, in many pixels, is that converter clipping
-    if full and int((frames == brightest).sum()) > 10:
+    # frame by frame: a mask of all of them is half as large as they are
+    clipped = sum(int((f == brightest).sum()) for frame in frames for f in frame) if full else 0
+    if clipped > 10:
         raise FileError(
-            f"bits = {bits}, but {int((frames == brightest).sum())} samples stand exactly at {brightest} and none "
+            f"bits = {bits}, but {clipped} samples stand exactly at {brightest} and none "
             f"above: the camera has {full[0]} bits; set bits = {full[0]}, or saturation would go unseen"
         )
 

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from scenes import mapped
 from scenes.errors import FileError
 from scenes.paths import is_file
 
@@ -51,19 +52,26 @@ def read(paths: Sequence[Path], channel: ImageChannel = "grey") -> NDArray[Any]:
     """Planes (frame, row, col), uint8 or uint16, of files of one size and depth; EXIF rotation is not applied.
 
     `channel` picks one plane of colour files; ``luma`` weighs all three (Rec. 601), which hides a clipped channel.
-    Raises `FileError` for an unreadable file, mixed sizes or depths, and a channel the file does not have.
+    Raises `FileError` for an unreadable file, mixed sizes or depths, and a channel the file does not have, `TooLargeError`
+    for more than memory and disk hold.
     """
     stack: NDArray[Any] | None = None
     for i, path in enumerate(paths):
         plane = _one(path, channel)
         if stack is None:
-            stack = np.empty((len(paths), *plane.shape), plane.dtype)
+            stack = mapped.array(
+                (len(paths), *plane.shape),
+                plane.dtype,
+                f"reading {len(paths)} images of {_described(plane)}",
+                "import fewer frames or exposures at a time",
+            )
         if plane.shape != stack.shape[1:] or plane.dtype != stack.dtype:
             raise FileError(
                 f"'{path}' is {_described(plane)}, '{paths[0].name}' is {_described(stack[0])}: "
                 "all frames must have one size and one depth"
             )
         stack[i] = plane
+        mapped.let_go(stack)
     if stack is None:
         raise FileError("no image files are given: list the frames in the order shown")
     return stack
