@@ -1,0 +1,108 @@
+"""Repeated estimates of a scene's frames by the fast pass and by Mitsuba's `path`, and what tells them apart."""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+import render
+from render.variant import mi
+from scenes import Scene
+from tests.render.oracle import Comparison
+from tests.trust import chance
+
+# Every repeat is a mean over so many paths, every frame is repeated so often. The variance of a pixel is measured from the
+# repeats, so the products of these decide the power, and the first how near to normal a repeat is.
+SAMPLES, REPEATS, FRAMES = 512, 24, 3
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One scene; `ours` and `oracle` are radiances (repeat, frame, row, col)."""
+
+    scene: Scene
+    projector: int
+    frames: tuple[int, ...]
+    ours: NDArray[np.float64]
+    oracle: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, name: str, scene: Scene, samples: int = SAMPLES) -> Self:
+        """Some frames of one projector, drawn at random, each judged by renders of its own."""
+        rng = chance.generator("frames", name)
+        projector = int(rng.integers(len(scene.projectors)))
+        count = len(scene.patterns.frames())
+        frames = tuple(sorted(int(f) for f in rng.choice(count, FRAMES, replace=False)))
+        judges = [render.mitsuba_scene(scene, frame, projector) for frame in frames]
+        oracle = [
+            [
+                np.array(mi.render(judge, spp=samples, seed=seed))[..., 0]
+                for seed in chance.seeds(REPEATS, "path", name, frame)
+            ]
+            for judge, frame in zip(judges, frames, strict=True)
+        ]
+        ours = _traced(scene, chance.seeds(REPEATS, "ours", name), samples, projector, frames)
+        return cls(scene, projector, frames, ours, np.swapaxes(oracle, 0, 1).astype(np.float64))
+
+    def traced_as(
+        self, scene: Scene, name: str, samples: int = SAMPLES, depth: int | None = None
+    ) -> Self:
+        """The same judge, before other light: of a faulty scene, say."""
+        seeds = chance.seeds(REPEATS, "ours", name)
+        return replace(
+            self, ours=_traced(scene, seeds, samples, self.projector, self.frames, depth)
+        )
+
+    def scaled(self, factor: float) -> Self:
+        """Our radiance times a factor."""
+        return replace(self, ours=self.ours * factor)
+
+    def halves(self) -> Self:
+        """The judge against itself: its even repeats before its odd ones."""
+        return replace(self, ours=self.oracle[::2], oracle=self.oracle[1::2])
+
+    def pixel_p_values(self) -> NDArray[np.float64]:
+        """Of Welch's test in every pixel of every frame, (frame, row, col)."""
+        return np.stack(
+            [
+                Comparison(self.ours[:, f], self.oracle[:, f]).pixel_p_values()
+                for f in range(len(self.frames))
+            ]
+        )
+
+    def deviations(self) -> NDArray[np.float64]:
+        """Normal deviates of the differences, (frame, row, col)."""
+        return chance.deviates(
+            self.pixel_p_values(), self.ours.mean(axis=0) - self.oracle.mean(axis=0)
+        )
+
+    def frame_p_values(self) -> list[float]:
+        """Of the mean over the picture, frame by frame."""
+        return [
+            Comparison(self.ours[:, f], self.oracle[:, f]).mean_bias()[2]
+            for f in range(len(self.frames))
+        ]
+
+    def bias(self) -> tuple[float, float, float]:
+        """Of the mean over pixels and frames: relative bias, its standard error, p-value."""
+        shape = (REPEATS, 1, -1)
+        return Comparison(self.ours.reshape(shape), self.oracle.reshape(shape)).mean_bias()
+
+
+def _traced(
+    scene: Scene,
+    seeds: list[int],
+    samples: int,
+    projector: int,
+    frames: tuple[int, ...],
+    depth: int | None = None,
+) -> NDArray[np.float64]:
+    return np.stack(
+        [
+            render.trace(scene, seed=seed, samples=samples, depth=depth).frames(projector)[
+                list(frames)
+            ]
+            for seed in seeds
+        ]
+    ).astype(np.float64)
