@@ -192,9 +192,12 @@ class Comparison:
     entries: tuple[Entry, ...]
     left_out: tuple[tuple[str, str, str], ...]
     """(name, budget, reason) of strategies that could not be had."""
+    light: Mapping[str, Any] | None = None
+    """How far light's own noise was brought down, where a phase error was asked for."""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data; always valid JSON."""
+        light = {} if self.light is None else {"light": dict(self.light)}
         best = {(budget, label): self.best(budget, label) for budget, label in self._groups()}
         return {
             "scene": self.scene,
@@ -220,6 +223,7 @@ class Comparison:
             "left_out": [
                 dict(zip(("name", "budget", "reason"), item, strict=True)) for item in self.left_out
             ],
+            **light,
         }
 
     def _groups(self) -> Iterator[tuple[str, str]]:

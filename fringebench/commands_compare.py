@@ -47,6 +47,7 @@ def compare(
 
     from fringebench.compare import compare as run
     from fringebench.comparison_output import tables, write
+    from fringebench.light import told
     from fringebench.run import prepare
 
     if output:
@@ -69,6 +70,8 @@ def compare(
         console.print(table)
     for name, budget, reason in result.left_out:
         console.print(f"[yellow]left out:[/] {name}, {budget}: {reason}")
+    if result.light:
+        console.print(told(result.light))
     for path in written:
         console.print(f"wrote {path}")
 

@@ -24,6 +24,7 @@ from evaluation.strategies import (
     ladder,
     strategies,
 )
+from fringebench.light import figures
 from fringebench.progress import Report, Steps
 from scenes.errors import FringebenchError, ScoreError
 from scenes.patterns import Axis
@@ -90,6 +91,7 @@ def compare(
         shot.light_ms(bench.reference.projectors),
         tuple(entries),
         tuple(left_out),
+        figures(bench.transport),
     )
 
 

@@ -43,6 +43,6 @@ def compare_report(result: Comparison, toml: str, seconds: Mapping[str, float]) 
         [
             Section("Pictures", pictures),
             Section("Regions", blocks),
-            provenance(toml, result.seed, seconds),
+            provenance(toml, result.seed, seconds, result.light),
         ],
     )
