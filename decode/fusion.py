@@ -59,7 +59,7 @@ class Samples:
             cosine=cosine,
             sine=sine,
             offset=mean,
-            variance_rad2=variance_rad2(self.device, self.fringes, cosine, sine, variance, slope),
+            variance_rad2=variance_rad2(self.fringes, cosine, sine, variance, slope),
             usable=self.unsaturated(exposure),
             exposure=self.device.types.UInt32(exposure),
         )

@@ -73,9 +73,7 @@ def _summed(samples: Samples) -> tuple[Phasor, Lanes, Lanes]:
         sine=sine,
         offset=level + samples.black_level_dn,
         # the slope is the sensor's gain, the same for every exposure
-        variance_rad2=variance_rad2(
-            samples.device, samples.fringes, cosine, sine, variance, samples.noise[0][1]
-        ),
+        variance_rad2=variance_rad2(samples.fringes, cosine, sine, variance, samples.noise[0][1]),
         usable=usable,
         exposure=types.UInt32(MERGED),
     )

@@ -1,6 +1,7 @@
 """How a stack is decoded: every choice, validated."""
 
 from dataclasses import dataclass, fields
+from operator import index
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -141,10 +142,10 @@ class Options:
             (row0, row1), (col0, col1) = ((int(at[0]), int(at[-1]) + 1) for at in there)
             return row0, row1, col0, col1
         try:
-            row0, row1, col0, col1 = (int(edge) for edge in self.roi)
+            row0, row1, col0, col1 = (index(edge) for edge in self.roi)
         except (TypeError, ValueError) as error:
             raise DecodeError(
-                f"roi is {self.roi!r}: give (row0, row1, col0, col1) or a boolean mask"
+                f"roi is {self.roi!r}: give (row0, row1, col0, col1) in whole pixels, or a boolean mask"
             ) from error
         if not (0 <= row0 < row1 <= rows and 0 <= col0 < col1 <= columns):
             raise DecodeError(

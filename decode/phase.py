@@ -102,12 +102,7 @@ def solution(fringes: FringeSet) -> NDArray[np.float64]:
 
 
 def variance_rad2(
-    device: Device,
-    fringes: FringeSet,
-    cosine: Lanes,
-    sine: Lanes,
-    variance_dn2: Lanes,
-    slope: float,
+    fringes: FringeSet, cosine: Lanes, sine: Lanes, variance_dn2: Lanes, slope: float
 ) -> Lanes:
     """Predicted variance of the phase of a least-squares phasor, to first order.
 
@@ -127,7 +122,9 @@ def variance_rad2(
             odd[power] = odd.get(power, 0.0) + float(slope * (step * wave).sum())
     power2 = cosine * cosine + sine * sine
     # the reciprocal by multiplication: see `Device.root`
-    root = device.dr.rsqrt(power2)
+    import drjit as dr  # not before `Device.open` has told it where LLVM is
+
+    root = dr.rsqrt(power2)
     inverse = root * root
     tilted = any(abs(c) > NEGLIGIBLE for c in odd.values())
     if not tilted and abs(even[2, 0] - even[0, 2]) < NEGLIGIBLE and abs(even[1, 1]) < NEGLIGIBLE:

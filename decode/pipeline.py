@@ -68,6 +68,8 @@ def reconstruct(stack: Stack, **choices: Any) -> Reconstruction:
         shares = ", ".join(
             f"{name} {share:.1%}" for name, share in best.reason_fractions().items() if name != "ok"
         )
+        if (best.reason == Reason.NOT_A_NUMBER).any():
+            shares += "; frames hold NaN or infinity, which are no digital numbers"
         raise DecodeError(
             f"no pixel could be decoded ({shares}): check exposure times, min_modulation_dn "
             f"({options.min_modulation_dn}), the patterns' order and the calibration"
@@ -107,7 +109,15 @@ def _reference_px(plan: Plan) -> NDArray[np.float64] | None:
 def _better(one: Reconstruction, two: Reconstruction) -> Reconstruction:
     """Per pixel the valid one with the smaller predicted sigma."""
     take = two.valid & (~one.valid | (two.sigma_mm < one.sigma_mm))
-    images = ("height_mm", "sigma_mm", "modulation_dn", "offset_dn", "reason", "exposure")
+    images = (
+        "height_mm",
+        "sigma_mm",
+        "modulation_dn",
+        "offset_dn",
+        "reason",
+        "exposure",
+        "projector",
+    )
     phases = {
         axis: AxisPhase(
             phase.period_px,
@@ -133,8 +143,12 @@ class _Decoded:
     usable: Lanes
     sigma_px: Lanes
     """Predicted standard deviation of the coordinate."""
+    lost: Lanes | None = None
+    """Where samples are NaN or infinite."""
+    least: float | None = None
+    """`shadow.level` below which light is stray, if that can be told."""
     lit: Lanes | None = None
-    """Where the light is the projector's own, if that can be told."""
+    """Where the light is the projector's own, as far as each pixel tells by itself."""
 
 
 class _Kernel:
@@ -173,6 +187,7 @@ class _Kernel:
             measured.residuals,
             None if plan.model is None else height,
             measured.lit,
+            measured.lost,
         )
         lanes: dict[str, Lanes] = {
             "height_mm": height,
@@ -186,6 +201,13 @@ class _Kernel:
             lanes[f"{axis}.wrapped"] = decoded.wrapped_rad
             lanes[f"{axis}.order"] = decoded.order
         images = self._images(lanes)
+        reason = images["reason"]
+        # a region must not have other shadows than the image: what lies around it counts
+        if measured.least and (plan.options.roi is not None or (reason == Reason.SHADOW).any()):
+            open_to_doubt = (reason != Reason.SATURATED) & (reason != Reason.NOT_A_NUMBER)
+            open_to_doubt &= reason != Reason.OUTSIDE_ROI
+            shade = self._shade(measured.least) & open_to_doubt
+            images["reason"] = np.where(shade, np.uint8(Reason.SHADOW), reason)
         phases = {
             axis: AxisPhase(
                 decoded.period_px, images.pop(f"{axis}.wrapped"), images.pop(f"{axis}.order")
@@ -194,6 +216,8 @@ class _Kernel:
         }
         return Reconstruction(
             axis=plan.axis,
+            # one number, seen as an image
+            projector=np.broadcast_to(np.uint8(plan.projector), self.image),
             phases=phases,
             calibration=plan.stack.calibration,
             settings=plan.options.summary() | {"unwrap": plan.ways[plan.axis]},
@@ -241,19 +265,38 @@ class _Kernel:
             residuals,
             usable,
             sigma_px,
-            self._lit(samples[-1]) if axis == plan.axis else None,
+            self._not_a_number(samples, phasors),
+            *(self._lit(samples[-1]) if axis == plan.axis else ()),
         )
 
-    def _lit(self, samples: fusion.Samples) -> Lanes | None:
-        """Where the light is not stray; the image's typical light comes from a coarse grid, whatever the region."""
+    def _lit(self, samples: fusion.Samples) -> tuple[float, Lanes] | tuple[()]:
+        """Least light that is not stray, and where there is more; the image's typical light comes from a coarse grid,
+        whatever the region.
+        """
         fraction = self.plan.options.min_relative_modulation
         if not fraction:
-            return None
+            return ()
         types = self.device.types
         at = types.UInt32(shadow.grid(self.image))
         levels = shadow.level(self._samples(samples.fringes, at)).numpy()
-        least = self.device.dr.opaque(types.Float, fraction * shadow.typical(levels))
-        return shadow.level(samples) >= least
+        least = fraction * shadow.typical(levels)
+        return least, shadow.level(samples) >= self.device.dr.opaque(types.Float, least)
+
+    def _shade(self, least: float) -> NDArray[np.bool_]:
+        """Where shadow is known by what borders on it, (row, col): of the whole image, whatever the region."""
+        dr, types = self.device.dr, self.device.types
+        samples = self._samples(self.plan.sets[self.plan.axis][-1], None)
+        levels = shadow.level(samples)
+        phasor = self.rule.fuse(samples)
+        # clipped light is no shadow, and NaN is nothing
+        dark = (
+            phasor.usable & dr.isfinite(phasor.offset) & ~(levels >= dr.opaque(types.Float, least))
+        )
+        dark = types.UInt8(dr.select(dark, types.UInt32(1), types.UInt32(0)))
+        dr.eval(levels, dark)
+        images = (lanes.numpy().reshape(self.image) for lanes in (levels, dark))
+        found, where = images
+        return shadow.borders(found, where > 0, least)
 
     def _phase(self, fringes: FringeSet, phasor: Phasor) -> Lanes:
         """Wrapped phase, gamma undone."""
@@ -324,6 +367,22 @@ class _Kernel:
             cell.width_px * float(np.sqrt(1.0 / 12.0)),
         )
 
+    @property
+    def _whole_numbers(self) -> bool:
+        return bool(np.issubdtype(self.plan.stack.frames.dtype, np.integer))
+
+    def _not_a_number(self, samples: list[fusion.Samples], phasors: list[Phasor]) -> Lanes | None:
+        """Where samples are NaN or infinite and the rule found no way around; None where none can be."""
+        if self._whole_numbers:
+            return None
+        dr, lost = self.device.dr, self.device.types.Bool(False)
+        for taken, phasor in zip(samples, phasors, strict=True):
+            total = taken.phasor(0).offset
+            for exposure in range(1, len(taken.exposure_ms)):
+                total = total + taken.phasor(exposure).offset
+            lost = lost | ~dr.isfinite(phasor.offset) | (~phasor.usable & dr.isnan(total))
+        return lost
+
     def _samples(self, fringes: FringeSet, at: Lanes | None) -> fusion.Samples:
         """Samples of the pixels with flat indices `at`; None: of the whole image."""
         stack = self.plan.stack
@@ -338,7 +397,7 @@ class _Kernel:
             exposure_ms=stack.exposure_ms,
             black_level_dn=stack.sensor.black_level_dn,
             saturation_dn=stack.saturation_dn if reject else float("inf"),
-            whole=bool(np.issubdtype(stack.frames.dtype, np.integer)),
+            whole=self._whole_numbers,
             noise=tuple(stack.sensor.noise_model(ms) for ms in stack.exposure_ms),
         )
 

@@ -66,6 +66,8 @@ class Reconstruction:
     """Index of the exposure used; 255 where several were merged or none was."""
     axis: Axis = "column"
     """Projector axis that measured the height."""
+    projector: NDArray[np.uint8] | None = None
+    """Index of the projector that each pixel's numbers come from, (row, col); 255 or None: unknown."""
     phases: Mapping[Axis, AxisPhase] = field(default_factory=dict)
     """Absolute phase by projector axis."""
     calibration: Calibration | None = None
@@ -178,6 +180,8 @@ class Reconstruction:
             "reason": self.reason.astype(np.float16),
             "exposure": self.exposure.astype(np.float16),
         }
+        if self.projector is not None:
+            channels["projector"] = self.projector.astype(np.float16)
         for axis, phase in self.phases.items():
             channels[f"{axis}.wrapped_rad"] = phase.wrapped_rad
             channels[f"{axis}.order"] = phase.order.astype(np.float32)
@@ -214,6 +218,9 @@ class Reconstruction:
                 reason=_reasons(channels["reason"]),
                 exposure=exr.whole(channels["exposure"], np.uint8),
                 axis=TypeAdapter(Axis).validate_python(meta["axis"]),
+                projector=exr.whole(channels["projector"], np.uint8)
+                if "projector" in channels
+                else None,
                 phases=phases,
                 calibration=None
                 if calibration is None

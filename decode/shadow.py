@@ -2,11 +2,14 @@
 
 Stray light carries fringes too, and a long exposure lifts them far above the noise: in an HDR stack of a board with solder
 they decode, agree over all periods, and are wrong by millimetres. What gives them away is how little light it is: a few
-hundredths of what black ink sends back. So the modulation per time of exposure is compared with the image's typical one.
+hundredths of what black ink sends back. So the modulation per time of exposure is compared with the image's typical one
+(`level`, `typical`), and around the shadow thus found with its neighbours' (`borders`).
 """
 
 import math
+from itertools import product
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +20,14 @@ from decode.fusion import Samples
 GRID_PIXELS = 4096
 # Standard deviations by which a modulation is lowered before it counts: what noise alone shows in a short exposure.
 SURE = 3.0
+
+# How far above the least light stray light may be and still be taken for it, where it touches shadow. With the least at
+# 2 % of the typical light this is 5 %: the darkest ink.
+STRAY = 2.5
+# A straight edge of shadow through a pixel's centre leaves half of the pixel lit, and at least two neighbours dark.
+HALF, NEIGHBOURS = 0.5, 2
+# Pixels that tell how bright the lit surface beside an edge is lie at most this far off.
+REACH = 2
 
 
 def level(samples: Samples) -> Lanes:
@@ -51,3 +62,52 @@ def typical(levels: NDArray[np.float32]) -> float:
     """Median level of the pixels that show a fringe; 0 if none does."""
     seen = levels[levels > 0.0]
     return float(np.median(seen)) if seen.size else 0.0
+
+
+def borders(
+    levels: NDArray[np.float32], dark: NDArray[np.bool_], least: float
+) -> NDArray[np.bool_]:
+    """What belongs to the shadow `dark` though it is brighter than `least`; all (row, col).
+
+    Two things border on shadow and decode without a doubt, wrongly. Stray light that is somewhat brighter: up to `STRAY`
+    times the least, as far as it reaches from the shadow without a gap. And pixels across the shadow's edge: their light
+    is the share of the lit surface's that their lit part has, and the height is that part's; below one half, the pixel's
+    centre lies in shadow. The surface's light is taken from pixels near by that touch no shadow themselves.
+    """
+    shade = dark.astype(np.uint8)
+    weak = (levels < STRAY * least) & ~dark
+    if weak.any():
+        _, parts = cv2.connectedComponents(weak.astype(np.uint8))
+        at = np.flatnonzero(weak)
+        part = parts.reshape(-1)[at]
+        touching = np.zeros(int(part.max()) + 1, np.bool_)
+        touching[part[_neighbours(shade).reshape(-1)[at] > 0]] = True
+        shade.reshape(-1)[at] = touching[part]
+    beside = _neighbours(shade)
+    edge = np.nonzero((beside >= NEIGHBOURS) & (shade == 0))
+    lit = _light_near(levels, (beside == 0) & (shade == 0), *edge)
+    shade[edge] |= levels[edge] < HALF * lit
+    return np.asarray((shade > 0) & ~dark)
+
+
+def _neighbours(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """How many of a pixel and its eight neighbours are set."""
+    border = cv2.BORDER_CONSTANT
+    return np.asarray(cv2.boxFilter(mask, -1, (3, 3), normalize=False, borderType=border))
+
+
+def _light_near(
+    levels: NDArray[np.float32],
+    clear: NDArray[np.bool_],
+    rows: NDArray[np.intp],
+    columns: NDArray[np.intp],
+) -> NDArray[np.float32]:
+    """Mean level of the clear pixels within reach of some pixels; 0 without any."""
+    total, count = np.zeros(rows.size, np.float32), np.zeros(rows.size, np.float32)
+    high, wide = levels.shape
+    for down, right in product(range(-REACH, REACH + 1), repeat=2):
+        there = np.clip(rows + down, 0, high - 1), np.clip(columns + right, 0, wide - 1)
+        use = clear[there]
+        total += np.where(use, levels[there], np.float32(0.0))
+        count += use
+    return np.asarray(total / np.maximum(count, 1.0))

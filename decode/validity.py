@@ -1,4 +1,6 @@
-"""Why a pixel is not to be trusted: one reason each, the first that applies in the order of `Reason`."""
+"""Why a pixel is not to be trusted: one reason each, the first that applies in the order of `Reason`; NaN goes before
+saturation.
+"""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -22,7 +24,7 @@ class Reason(IntEnum):
     SATURATED = 2
     """The fusion rule found no usable exposure."""
     SHADOW = 3
-    """No fringe above the noise, or so little light that it must be stray: see `decode.shadow`."""
+    """No fringe above the noise, or light that must be stray or comes from beyond a shadow's edge: see `decode.shadow`."""
     DARK = 4
     """A fringe, but of too little modulation."""
     ORDER_MISMATCH = 5
@@ -31,6 +33,8 @@ class Reason(IntEnum):
     """The height model has no answer here: an invalid reference pixel, a ray that misses."""
     OUT_OF_VOLUME = 7
     """Height outside the working volume."""
+    NOT_A_NUMBER = 8
+    """Samples are NaN or infinite."""
 
     @property
     def label(self) -> str:
@@ -57,8 +61,9 @@ def reasons(
     residuals: list[Lanes],
     height_mm: Lanes | None,
     lit: Lanes | None = None,
+    lost: Lanes | None = None,
 ) -> Lanes:
-    """Reason codes as uint8 lanes; `lit` False is shadow. Comparisons are written so that NaN rejects."""
+    """Reason codes as uint8 lanes; `lit` False is shadow, `lost` NaN. Comparisons are written so that NaN rejects."""
     pick, code = device.dr.select, device.types.UInt32
     reason = code(Reason.OK)
     if height_mm is not None:
@@ -79,4 +84,7 @@ def reasons(
     reason = pick(bright, reason, dim)
     if lit is not None:
         reason = pick(lit, reason, code(Reason.SHADOW))
-    return device.types.UInt8(pick(usable, reason, code(Reason.SATURATED)))
+    reason = pick(usable, reason, code(Reason.SATURATED))
+    if lost is not None:
+        reason = pick(lost, code(Reason.NOT_A_NUMBER), reason)
+    return device.types.UInt8(reason)

@@ -53,6 +53,15 @@ class RegionScore:
 
 
 @dataclass(frozen=True)
+class UnlitScore:
+    """Pixels that see the scene and that no projector lights: nothing is to be measured there."""
+
+    pixels: int
+    valid: int
+    """How many of them the decoder declares valid."""
+
+
+@dataclass(frozen=True)
 class Score:
     """How well a scene was measured: ``scores.json``."""
 
@@ -60,6 +69,7 @@ class Score:
     """Name of the scene."""
     regions: Mapping[str, RegionScore]
     features: Mapping[str, Feature]
+    unlit: UnlitScore
     light: Mapping[str, Any] | None = None
     """How far light's own noise was brought down, where a phase error was asked for."""
 
@@ -70,6 +80,7 @@ class Score:
             "scene": self.scene,
             "regions": {label: asdict(region) for label, region in self.regions.items()},
             "features": {name: asdict(feature) for name, feature in self.features.items()},
+            "unlit": asdict(self.unlit),
             **light,
         }
 
@@ -101,7 +112,9 @@ def score(
         rec, truth, margin_px=margin_px, outlier_sigmas=outlier_sigmas, outlier_mm=outlier_mm
     )
     measured = np.where(rec.valid, rec.height_mm, np.nan)
-    return Score(_name(truth), regions, features(measured, truth))
+    unlit = ~truth.lit & np.isfinite(truth.height_mm)
+    shade = UnlitScore(int(unlit.sum()), int((unlit & rec.valid).sum()))
+    return Score(_name(truth), regions, features(measured, truth), shade)
 
 
 def region_scores(
@@ -133,7 +146,8 @@ def region_scores(
 def scored(truth: Truth, label: str, margin_px: int = 0) -> NDArray[np.bool_]:
     """(row, col) pixels a label is scored on: those whose centre sees it and that a projector lights.
 
-    Shadow is no failure of a decoder, so pixels that no projector reaches are left out. `margin_px` also leaves out
+    Shadow is no failure of a decoder, so pixels that no projector reaches are left out (`Score.unlit` counts those that a
+    decoder measures all the same). `margin_px` also leaves out
     pixels that near (in rows and columns) to another label, to nothing or to shadow: a pixel across such a border
     mixes the light of two heights while its truth is the one at its centre. The default keeps them, for they are what a
     camera sees, and a grain of paste is all border; 1 removes just those a border can cross, defocus takes more.

@@ -56,6 +56,7 @@ def test_region_of_interest_has_the_full_decodes_values(
         ({"roi": np.zeros((48, 64), bool)}, "mask is empty"),
         ({"roi": np.ones((4, 4), bool)}, r"give booleans of shape \(48, 64\)"),
         ({"roi": "all"}, "give \\(row0"),
+        ({"roi": (0.5, 10, 0, 10)}, "in whole pixels"),
         ({"fusion": "max-modulaton"}, "did you mean 'max-modulation'"),
         ({"fussion": "single"}, "unknown option 'fussion': did you mean 'fusion'"),
         ({"unwrap": "spacial"}, "unwrap is 'spacial'"),

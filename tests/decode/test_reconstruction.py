@@ -1,6 +1,7 @@
 """The reconstruction as a value: files, other people's heights, phases without loss."""
 
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,21 @@ import decode
 from decode.reconstruction import AxisPhase
 from scenes.errors import DecodeError, FileError
 from scenes.patterns import PhaseShift
+from scenes.rig import LookAt
+from scenes.sensor import SimpleSensor
+from scenes.stack import Stack
 from tests.decode.synthetic import calibrated_stack, hills, rig
 
-IMAGES = ("height_mm", "sigma_mm", "modulation_dn", "offset_dn", "reason", "exposure", "xyz_mm")
+IMAGES = (
+    "height_mm",
+    "sigma_mm",
+    "modulation_dn",
+    "offset_dn",
+    "reason",
+    "exposure",
+    "projector",
+    "xyz_mm",
+)
 
 
 @pytest.fixture(scope="module")
@@ -76,3 +89,49 @@ def test_order_and_wrapped_phase_together_keep_what_float32_loses() -> None:
     assert np.abs(back - wrapped).max() < 2500 * 2.0**-52
     lost = phase.phase_rad.astype(np.float32).astype(np.float64) - 2 * np.pi * 400
     assert np.abs(lost - wrapped).max() > 1e-5
+
+
+def two_projectors() -> Stack:
+    """One hill under two projectors; the first lights the left half alone, the second the right half and 8 columns more."""
+    one = rig()
+    (left,) = one.projectors
+    right = left.model_copy(update={"pose": LookAt(origin_mm=(-30, 18, 50))})
+    patterns, frames, shown = PhaseShift(periods_px=(16.0, 80.0)), [], []
+    for index, (projector, columns) in enumerate([(left, slice(0, 32)), (right, slice(24, 64))]):
+        light = np.full((48, 64), 0.005)
+        light[:, columns] = 1.0
+        alone = one.model_copy(update={"projectors": (projector,)})
+        made = calibrated_stack(alone, hills(), patterns, offset=90 * light, modulation=80 * light)
+        frames.append(made.frames)
+        shown += [replace(frame, projector=index) for frame in made.patterns]
+    both = one.model_copy(update={"projectors": (left, right)})
+    sensor = SimpleSensor(sigma_dn=0.1, bits=0)
+    return Stack(np.concatenate(frames, axis=1), tuple(shown), (1.0,), sensor, both)
+
+
+def test_no_map_says_which_projector_measured_a_pixel(tmp_path: Path) -> None:
+    stack = two_projectors()
+    rec = decode.reconstruct(stack)
+    assert rec.valid.all()
+    assert rec.projector is not None
+    assert (rec.projector[:, :24] == 0).all() and (rec.projector[:, 32:] == 1).all()
+    # where both do, it is the one whose numbers stand there
+    for index in (0, 1):
+        alone = decode.reconstruct(stack, projector=index)
+        assert alone.projector is not None and (alone.projector == index).all()
+        mine = rec.projector == index
+        assert np.array_equal(rec.height_mm[mine], alone.height_mm[mine])
+    rec.write(tmp_path / "rec.exr")
+    back = decode.Reconstruction.read(tmp_path / "rec.exr")
+    assert back.projector is not None and np.array_equal(back.projector, rec.projector)
+
+
+def test_frames_of_nan_are_called_saturated() -> None:
+    made = calibrated_stack(rig(), hills(), PhaseShift(periods_px=(16.0, 80.0)), sigma_dn=1.0)
+    frames = made.frames.copy()
+    frames[0, 5, :9] = np.nan
+    rec = decode.reconstruct(replace(made, frames=frames))
+    assert (rec.reason[:9] == decode.Reason.NOT_A_NUMBER).all()
+    assert rec.valid[9:].all()
+    with pytest.raises(DecodeError, match=r"not-a-number 100.0%.*frames hold NaN"):
+        decode.reconstruct(replace(made, frames=np.full_like(frames, np.nan)))

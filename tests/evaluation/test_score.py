@@ -40,10 +40,21 @@ def test_scores_json_differs_from_its_documented_keys(truth_of, tmp_path):
     path = tmp_path / "scores.json"
     evaluation.score(reconstruction(np.zeros(SHAPE)), truth).write(path)
     read = json.loads(path.read_text("utf-8"))
-    assert list(read) == ["scene", "regions", "features"]
+    assert list(read) == ["scene", "regions", "features", "unlit"]
     assert read["scene"] == "synthetic"
     assert list(read["regions"]) == ["base", "ink"]
     assert all(list(region) == REGION_KEYS for region in read["regions"].values())
+
+
+def test_heights_invented_in_shadow_go_uncounted(truth_of):
+    lit = np.ones(SHAPE, bool)
+    lit[:, :4] = False
+    valid = np.ones(SHAPE, bool)
+    valid[:15, :4] = False
+    truth = truth_of(np.zeros(SHAPE), lit=lit)
+    score = evaluation.score(reconstruction(np.zeros(SHAPE), valid=valid), truth)
+    assert score.to_dict()["unlit"] == {"pixels": 4 * 20, "valid": 4 * 5}
+    assert score.regions["base"].pixels == 26 * 20
 
 
 def test_empty_region_crashes_or_is_scored(truth_of):
