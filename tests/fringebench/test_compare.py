@@ -199,6 +199,8 @@ def test_no_rule_beats_censored_likelihood_on_any_shipped_scene(name: str) -> No
         name,
         {"camera.resolution": [int(columns / shrink), int(rows / shrink)], "sampling.samples": 16},
     )
+    # The bound is one projector's: of several, pixels differ in which they took.
+    scene = scene.model_copy(update={"projectors": scene.projectors[:1]})
     entries = by_name(compare(scene, RULES, repeats=5))
     best = entries.pop("censored-ml")
     judged = 0

@@ -6,6 +6,9 @@ from dataclasses import asdict
 
 import pytest
 
+import decode
+import evaluation
+import render
 import scenes
 from fringebench.cli import main
 from fringebench.pads import gauge, inspect, pad_budget
@@ -100,3 +103,20 @@ def test_a_scene_without_a_board_has_no_pads(capsys: pytest.CaptureFixture[str])
     for ask in (inspect, pad_budget, gauge):
         with pytest.raises(SceneError, match="has no board"):
             ask(step)
+
+
+def test_four_projectors_leave_in_shadow_what_one_does() -> None:
+    four = scenes.load("spi-four", {"camera.resolution": [320, 240], "sampling.samples": 8})
+    transport = render.trace(four)
+    truth, stack = render.truth(four, transport), render.expose(transport)
+    seen = {
+        projector: evaluation.score(decode.reconstruct(stack, projector=projector), truth)
+        for projector in (None, 0, 1, 2, 3)
+    }
+    # Of what one projector at least lights, as scores count: one alone lacks its own shadow, and steep metal that faces
+    # away from it.
+    paste = {projector: score.regions["paste"].coverage for projector, score in seen.items()}
+    all_four = paste.pop(None)
+    assert all_four is not None
+    assert all_four >= 0.99
+    assert all(alone is not None and alone < 0.97 for alone in paste.values())
