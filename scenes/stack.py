@@ -119,8 +119,14 @@ def _stored(frames: NDArray[Any]) -> DTypeLike:
     """The smallest channel type that holds each digital number exactly: half, else float32."""
     if frames.dtype == np.uint8:
         return np.float16
-    whole = frames.dtype == np.uint16
-    return np.float16 if whole and int(frames.max()) <= HALF_EXACT else np.float32
+    if frames.dtype == np.float32:
+        return np.float32
+    for exposure in frames:
+        for frame in exposure:
+            if int(frame.max()) > HALF_EXACT:
+                return np.float32
+            mapped.let_go(frame)
+    return np.float16
 
 
 def _frames(
