@@ -8,6 +8,7 @@ import argparse
 import importlib
 import importlib.util
 import json
+import os
 import time
 from datetime import UTC, datetime
 from pathlib import Path
@@ -45,6 +46,11 @@ def measured(name: str, quick: bool) -> tuple[list[Result], bool]:
         return [not_run(name, f"{type(error).__name__}: {error}")], False
 
 
+def processor_s() -> float:
+    """Used so far by this process and by those it has waited for."""
+    return sum(os.times()[:4])
+
+
 def main() -> int:
     """Run what is asked for, print it, write it."""
     known = [name for name in MODULES if importlib.util.find_spec(f"benchmarks.{name}")]
@@ -73,15 +79,19 @@ def main() -> int:
     made = datetime.now(UTC).isoformat(timespec="seconds")
     found: dict[str, list[Result]] = {}
     spent: dict[str, float] = {}
+    busy: dict[str, float] = {}
     whole = True
     out.print(machine.sentence(about), highlight=False)
     for name in given.only or known:
-        start = time.perf_counter()
+        start, used = time.perf_counter(), processor_s()
         found[name], ran = measured(name, given.quick)
         spent[name] = round(time.perf_counter() - start, 1)
+        busy[name] = round(processor_s() - used, 1)
         whole &= ran
         show(out, MODULES[name].replace("`", ""), found[name], not given.quick)
-        progress.print(f"{name}: {spent[name]:.0f} s", highlight=False)
+        progress.print(
+            f"{name}: {spent[name]:.0f} s, {busy[name]:.0f} of processor", highlight=False
+        )
     about["load_after"] = machine.load()
     when = (
         f"{made}{', quick: small sizes, no target judged' if given.quick else ''}. "
@@ -95,6 +105,7 @@ def main() -> int:
             "quick": given.quick,
             "machine": about,
             "seconds": spent,
+            "processor_seconds": busy,
             "results": [
                 {"benchmark": name, **result.to_dict()} for name in found for result in found[name]
             ],
