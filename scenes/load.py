@@ -1,10 +1,13 @@
 """Scenes from TOML and back: shipped names, files, overrides, JSON schema."""
 
+import copy
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import tomli_w
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -21,6 +24,8 @@ Overrides = Mapping[str, Any]
 
 # Errors of a scene that are told at once.
 MOST_TOLD = 10
+# pydantic's names of errors that no other value of that type would mend.
+WRONG_TYPE = re.compile(r"_type$|_parsing$|^int_from_float$")
 
 
 def shipped() -> tuple[str, ...]:
@@ -79,20 +84,25 @@ def parse(
     board = tree.get("board") if folder else None
     if isinstance(board, dict):
         _resolve_board(board, folder or Path())
+    given = [key.split(".") for key in overrides or {}]
     try:
-        return Scene.model_validate(tree)
+        scene = Scene.model_validate(tree)
     except ValidationError as error:
-        details = error.errors()
-        # A list whose items failed is also reported as too short: only the innermost cause helps.
-        outer = {d["loc"][:depth] for d in details for depth in range(len(d["loc"]))}
-        inner = [d for d in details if d["loc"] not in outer]
-        given = [key.split(".") for key in overrides or {}]
+        inner = _innermost(error)
         told = [
-            f"{where}{_line(text, d, tree, given)}: {_message(d, tree)}" for d in inner[:MOST_TOLD]
+            f"{where}{_line(text, _in_tree(d['loc'], tree), given)}: {_message(d, tree)}"
+            for d in inner[:MOST_TOLD]
         ]
         if len(inner) > MOST_TOLD:
             told.append(f"{where}: and {len(inner) - MOST_TOLD} more errors")
         raise SceneError("\n".join(told)) from None
+    wrong = [
+        f"{where}{_line(text, ('randomise', key), given)}: randomise: {message}"
+        for key, message in _cannot_be_drawn(scene)
+    ]
+    if wrong:
+        raise SceneError("\n".join(wrong))
+    return scene
 
 
 def dumps(scene: Scene) -> str:
@@ -123,32 +133,57 @@ def _resolve_board(board: dict[str, Any], folder: Path) -> None:
         }
 
 
-def _set(tree: dict[str, Any], dotted: str, value: Any) -> None:
+def _innermost(error: ValidationError) -> list[ErrorDetails]:
+    """A list whose items failed is also reported as too short: only the innermost cause helps."""
+    details = error.errors()
+    outer = {d["loc"][:depth] for d in details for depth in range(len(d["loc"]))}
+    return [d for d in details if d["loc"] not in outer]
+
+
+def _cannot_be_drawn(scene: Scene) -> Iterator[tuple[str, str]]:
+    """Keys of `randomise` that no sample can have, and why: unknown ones, and numbers where words stand.
+
+    Whether a drawn value is in range is for the sample to say: it may be in one and not in another.
+    """
+    plain = scene.model_copy(update={"randomise": {}}).model_dump(mode="json", exclude_none=True)
+    for key, distribution in scene.randomise.items():
+        tree = copy.deepcopy(plain)
+        try:
+            _set(tree, key, distribution.draw(np.random.default_rng(0)), "key")
+            Scene.model_validate(tree)
+        except SceneError as error:
+            yield key, str(error)
+        except ValidationError as error:
+            for detail in _innermost(error):
+                if detail["type"] == "extra_forbidden" or WRONG_TYPE.search(detail["type"]):
+                    yield key, _message(detail, tree)
+
+
+def _set(tree: dict[str, Any], dotted: str, value: Any, what: str = "override") -> None:
     """Set one dotted key; numbers step into lists. A key that leads nowhere is left to validation to name."""
     node: Any = tree
     *path, last = dotted.split(".")
     for i, key in enumerate(path):
         if isinstance(node, list):
-            node = node[_index(node, key, dotted)]
+            node = node[_index(node, key, f"{what} '{dotted}'")]
         elif isinstance(node, dict):
             node = node.setdefault(key, {})
         else:
             raise SceneError(
-                f"override '{dotted}': '{'.'.join(path[:i])}' is a value, not a table, so it has no '{key}'"
+                f"{what} '{dotted}': '{'.'.join(path[:i])}' is a value, not a table, so it has no '{key}'"
             )
     if isinstance(node, list):
-        node[_index(node, last, dotted)] = value
+        node[_index(node, last, f"{what} '{dotted}'")] = value
     elif isinstance(node, dict):
         node[last] = value
     else:
-        raise SceneError(f"override '{dotted}': '{'.'.join(path)}' is a value, not a table")
+        raise SceneError(f"{what} '{dotted}': '{'.'.join(path)}' is a value, not a table")
 
 
-def _index(node: list[Any], key: str, dotted: str) -> int:
+def _index(node: list[Any], key: str, what: str) -> int:
     if not key.isdecimal() or int(key) >= len(node):
-        raise SceneError(
-            f"override '{dotted}': '{key}' is no index into a list of {len(node)}: use 0 to {len(node) - 1}"
-        )
+        known = f"use 0 to {len(node) - 1}" if node else "it has none"
+        raise SceneError(f"{what}: '{key}' is no index into a list of {len(node)}: {known}")
     return int(key)
 
 
@@ -168,11 +203,8 @@ def _message(detail: ErrorDetails, tree: dict[str, Any]) -> str:
     return f"{location}: {message}{shown}"
 
 
-def _line(
-    text: str, detail: ErrorDetails, tree: dict[str, Any], given: Iterable[Sequence[str]]
-) -> str:
+def _line(text: str, location: tuple[int | str, ...], given: Iterable[Sequence[str]]) -> str:
     """``:12``, as editors and terminals follow it; nothing where an override gave the value."""
-    location = _in_tree(detail["loc"], tree)
     parts = [str(part) for part in location]
     if any(parts[: len(key)] == list(key) for key in given):
         return ""

@@ -64,19 +64,44 @@ def test_another_randomised_key_changes_what_the_first_draws() -> None:
 
 
 @pytest.mark.parametrize(
-    ("randomise", "message"),
+    ("line", "message"),
     [
-        ({"sensor.raed_noise_e": 1}, "did you mean 'read_noise_e'"),
-        ({"camera.resolution.7": 1}, "no index into a list"),
-        ({"sensor.read_noise_e": -1}, "greater than or equal to 0"),
+        (
+            '"sensor.raed_noise_e" = { kind = "constant", value = 1 }',
+            "unknown key 'sensor.raed_noise_e': did you mean 'read_noise_e'?",
+        ),
+        (
+            '"camera.resolution.7" = { kind = "constant", value = 1 }',
+            "key 'camera.resolution.7': '7' is no index into a list of 2: use 0 to 1",
+        ),
+        ('"name.x" = { kind = "constant", value = 1 }', "'name' is a value, not a table"),
+        (
+            '"camera.resolution.0" = { kind = "uniform", low = 100.5, high = 200 }',
+            "camera.resolution.0: Input should be a valid integer",
+        ),
+        (
+            '"sensor.read_noise_e" = { kind = "choice", values = ["much"] }',
+            "sensor.read_noise_e: Input should be a valid number",
+        ),
     ],
 )
-def test_a_wrong_key_is_drawn(randomise: dict[str, float], message: str) -> None:
-    table = {key: {"kind": "constant", "value": value} for key, value in randomise.items()}
-    scene = spi(randomise=table)
+def test_a_key_that_no_sample_can_have_is_found_only_when_it_is_drawn(
+    line: str, message: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "mine.toml"
+    text = scenes.source("spi") + f"\n[randomise]\n{line}\n"
+    file.write_text(text)
     with pytest.raises(SceneError) as caught:
-        scenes.realise(scene, 5)
+        scenes.load(file)
+    assert str(caught.value).startswith(f"{file}:{len(text.splitlines())}: randomise: ")
     assert message in str(caught.value)
+
+
+def test_a_value_that_the_scene_cannot_have_is_drawn() -> None:
+    # In range or not: the sample's own affair, as a bell reaches everywhere.
+    scene = spi(randomise={"sensor.read_noise_e": {"kind": "constant", "value": -1}})
+    with pytest.raises(SceneError, match="greater than or equal to 0"):
+        scenes.realise(scene, 5)
 
 
 def test_a_negative_index_is_a_sample() -> None:
