@@ -1,6 +1,6 @@
 """Stack to reconstruction: phases, fringe orders, heights, and a reason for every rejected pixel."""
 
-from decode.fusion import FusionRule, Samples
+from decode.fusion import FusionRule, Samples, middle_exposure
 from decode.options import Options
 from decode.phase import FringeSet, Phasor
 from decode.pipeline import reconstruct
@@ -17,6 +17,7 @@ __all__ = [
     "Reason",
     "Reconstruction",
     "Samples",
+    "middle_exposure",
     "reconstruct",
     "rules",
 ]

@@ -5,6 +5,7 @@ finds rules by name.
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
@@ -16,6 +17,15 @@ from scenes.stack import Stack
 
 # `Phasor.exposure` where more than one exposure made the phase.
 MERGED = 255
+
+
+def middle_exposure(exposure_ms: Sequence[float]) -> int:
+    """Index of the middle exposure by time, of an even number the longer one: what one takes who takes only one."""
+    return _by_time(exposure_ms)[len(exposure_ms) // 2]
+
+
+def _by_time(exposure_ms: Sequence[float]) -> list[int]:
+    return sorted(range(len(exposure_ms)), key=lambda k: exposure_ms[k])
 
 
 @dataclass(frozen=True)
@@ -38,7 +48,7 @@ class Samples:
     @property
     def by_time(self) -> list[int]:
         """Exposure indices, shortest first."""
-        return sorted(range(len(self.exposure_ms)), key=lambda k: self.exposure_ms[k])
+        return _by_time(self.exposure_ms)
 
     @cached_property
     def _cache(self) -> dict[int, Phasor]:
@@ -118,8 +128,8 @@ class Single(FusionRule):
 
     def fuse(self, samples: Samples) -> Phasor:
         """The chosen exposure's phasor."""
-        order = samples.by_time
-        return samples.phasor(order[len(order) // 2] if self.exposure is None else self.exposure)
+        chosen = middle_exposure(samples.exposure_ms) if self.exposure is None else self.exposure
+        return samples.phasor(chosen)
 
 
 @dataclass(frozen=True)

@@ -72,7 +72,7 @@ class Reference:
     @property
     def middle_ms(self) -> float:
         """The middle exposure, by time."""
-        return sorted(self.times_ms)[len(self.times_ms) // 2]
+        return self.times_ms[decode.middle_exposure(self.times_ms)]
 
 
 @dataclass(frozen=True, eq=False)

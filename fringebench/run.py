@@ -84,7 +84,7 @@ def run(
 
 def middle_exposure(stack: scenes.Stack) -> scenes.Stack:
     """The stack's middle exposure alone: what one would have taken without several."""
-    middle = len(stack.exposure_ms) // 2
+    middle = decode.middle_exposure(stack.exposure_ms)
     return scenes.Stack(
         stack.frames[middle : middle + 1],
         stack.patterns,

@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
 from render.sensor import Floats, Noise, digital_numbers, fixed_pattern
 from render.transport import Transport
 from scenes import mapped
 from scenes.basis import RANK_TOLERANCE, Basis, basis
 from scenes.calibration import Calibration
-from scenes.errors import RenderError, nearest
+from scenes.errors import RenderError, SceneError, nearest
 from scenes.load import dumps
 from scenes.patterns import Patterns
 from scenes.scene import AutoExposure, Exposures, Sampling
@@ -144,7 +143,7 @@ def _exposures(given: Exposures | Sequence[float] | None) -> Exposures | None:
         return given
     try:
         return Exposures(times_ms=tuple(given))
-    except (TypeError, ValidationError):
+    except (TypeError, SceneError):
         raise RenderError(
             f"exposures = {given!r}: give Exposures or a list of times in ms, each above 0"
         ) from None

@@ -21,6 +21,10 @@ class SceneError(FringebenchError):
     """A scene that cannot be: unknown name or key, a value out of range, an impossible rig."""
 
 
+class ImpossibleError(SceneError, ValueError):
+    """A part of a scene made in Python with values it cannot have; a `ValueError`, as pydantic's own is."""
+
+
 class MeshError(SceneError):
     """A mesh that cannot be rendered: no faces, NaN vertices, an unreadable file."""
 

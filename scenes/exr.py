@@ -22,7 +22,7 @@ from numpy.typing import DTypeLike, NDArray
 from scenes.errors import FileError
 from scenes.foreign_text import parse_json
 from scenes.memory import room_for
-from scenes.paths import is_file
+from scenes.paths import is_file, missing
 from scenes.replace_file import replacing
 
 VERSION = 1
@@ -84,7 +84,7 @@ def read(path: str | Path, kind: str) -> tuple[dict[str, NDArray[Any]], dict[str
     """
     source = Path(path)
     if not is_file(source):
-        raise FileError(f"'{source}' does not exist: give the path of a {kind} EXR file")
+        raise FileError(f"'{source}' {missing(source)}: give the path of a {kind} EXR file")
     channels, found = load(source)
     meta = expected(found, source, kind)
     shapes = {plane.shape for plane in channels.values()}
@@ -115,7 +115,7 @@ def kind_of(path: str | Path) -> str:
     """Which of the project's formats a file is; raises `FileError` as `read` does."""
     source = Path(path)
     if not is_file(source):
-        raise FileError(f"'{source}' does not exist")
+        raise FileError(f"'{source}' {missing(source)}: give the path of an EXR file")
     _, meta = load(source, header_only=True)
     if meta is None:
         raise FileError(f"'{source}' is an OpenEXR file but not one of fringebench's")

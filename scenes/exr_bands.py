@@ -24,7 +24,7 @@ from scenes import exr, mapped
 from scenes.errors import FileError
 from scenes.exr import Channels
 from scenes.memory import room_for
-from scenes.paths import is_file
+from scenes.paths import is_file, missing
 from scenes.replace_file import replacing
 
 # Pixels in memory at once: some chunks for every core, of 48 float32 channels and 5472 columns.
@@ -180,7 +180,7 @@ def reading(path: str | Path, kind: str) -> Iterator[Bands]:
     """Open a file written by `write` or `exr.write`; raises `FileError` as `exr.read` does, before or while bands are read."""
     source = Path(path)
     if not is_file(source):
-        raise FileError(f"'{source}' does not exist: give the path of a {kind} EXR file")
+        raise FileError(f"'{source}' {missing(source)}: give the path of a {kind} EXR file")
     try:
         file = source.open("rb")
     except OSError as error:

@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import connected_components
 
 from scenes.errors import FileError, SceneError
 from scenes.layout import Area, Box, Pad, disk, moved, rectangle, rounded
-from scenes.paths import is_file
+from scenes.paths import is_file, missing
 
 Role = Literal["paste", "mask", "copper", "outline"]
 ROLES: tuple[Role, ...] = ("paste", "mask", "copper", "outline")
@@ -181,7 +181,7 @@ def _objects(path: Path) -> Sequence[Any]:
             'reading Gerber files needs the gerbonara library: pip install "fringebench[board]"'
         ) from error
     if not is_file(path):
-        raise FileError(f"Gerber file '{path}' does not exist: check the path")
+        raise FileError(f"Gerber file '{path}' {missing(path)}: check the path")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

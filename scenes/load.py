@@ -14,7 +14,7 @@ from pydantic_core import ErrorDetails
 
 from scenes.errors import FileError, SceneError, nearest
 from scenes.foreign_text import parse_toml
-from scenes.paths import is_file
+from scenes.paths import is_file, is_folder, missing
 from scenes.replace_file import replacing
 from scenes.scene import Scene
 from scenes.toml_lines import line_of
@@ -40,10 +40,10 @@ def source(name: str | Path) -> str:
     if str(name) in shipped():
         return (resources.files("scenes") / "shipped" / f"{name}.toml").read_text("utf-8")
     if not is_file(path):
-        if path.suffix == ".toml" or path.parent != Path():
-            raise FileError(f"scene file '{path}' does not exist: check the path")
+        if path.suffix == ".toml" or path.parent != Path() or is_folder(path):
+            raise FileError(f"scene file '{path}' {missing(path)}: give a TOML file")
         raise SceneError(
-            f"unknown scene '{name}': {nearest(str(name), shipped())}, or give a TOML file"
+            f"unknown scene '{name}', and no TOML file either: {nearest(str(name), shipped())}"
         )
     try:
         return path.read_text("utf-8")

@@ -16,6 +16,19 @@ def is_file(path: Path) -> bool:
         return False
 
 
+def is_folder(path: Path) -> bool:
+    """Whether there is such a folder; no name is too long or too strange to ask."""
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):
+        return False
+
+
+def missing(path: Path) -> str:
+    """What is wrong with a path that `is_file` denies."""
+    return "is a folder" if is_folder(path) else "does not exist"
+
+
 def as_file_name(text: str) -> str:
     """A text as one file name: it stays in the folder it is joined to, whatever it says.
 

@@ -16,7 +16,7 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 from scenes.errors import MeshError
 from scenes.frozen import Frozen
 from scenes.grains import Grains
-from scenes.paths import is_file
+from scenes.paths import is_file, missing
 
 Size = tuple[PositiveFloat, PositiveFloat]
 Segments = Annotated[int, Field(ge=8, le=4096)]
@@ -207,7 +207,7 @@ class MeshFile(Frozen):
     def mesh(self) -> trimesh.Trimesh:
         """The file's triangles in mm."""
         if not is_file(self.path):
-            raise MeshError(f"mesh '{self.path}' does not exist: give a PLY, STL or OBJ file")
+            raise MeshError(f"mesh '{self.path}' {missing(self.path)}: give a PLY, STL or OBJ file")
         try:
             mesh = trimesh.load_mesh(self.path, process=False)
         except Exception as error:

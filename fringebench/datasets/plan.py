@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self
 import tomli_w
 from pydantic import Field, ValidationError, model_validator
 
-from scenes.errors import DatasetError, SceneError
+from scenes.errors import DatasetError, ImpossibleError, SceneError
 from scenes.foreign_text import parse_toml
 from scenes.frozen import Frozen
 from scenes.load import dumps, parse
@@ -54,8 +54,10 @@ class Plan(Frozen):
                 splits=SPLITS if splits is None else splits,
                 scene=tomllib.loads(dumps(scene)),
             )
-        except ValidationError as error:
-            raise DatasetError(f"a data set cannot be so: {_told(error)}") from None
+        except ImpossibleError as error:
+            raise DatasetError(
+                f"a data set cannot be so: {str(error).removeprefix(f'{cls.__name__}.')}"
+            ) from None
 
     @classmethod
     def loads(cls, text: str, where: str) -> Self:

@@ -193,3 +193,8 @@ def test_two_projectors_cover_each_others_shadows() -> None:
     assert (alone.reason[:10] != decode.Reason.OK).mean() > 0.99
     with pytest.raises(DecodeError, match="choose one with projector="):
         decode.reconstruct(stack, height="phase")
+
+
+def test_the_middle_exposure_is_that_of_the_index() -> None:
+    assert decode.middle_exposure((4.0, 1.0, 2.0)) == 2
+    assert decode.middle_exposure((8.0, 1.0)) == 0

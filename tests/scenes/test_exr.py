@@ -63,7 +63,7 @@ def test_views_and_other_layouts_are_written_as_seen(tmp_path: Path) -> None:
     ("make", "says"),
     [
         (lambda p: p.unlink(), "does not exist"),
-        (lambda p: (p.unlink(), p.mkdir()), "does not exist"),
+        (lambda p: (p.unlink(), p.mkdir()), "is a folder"),
         (lambda p: p.write_bytes(b""), "truncated, damaged or no OpenEXR"),
         (lambda p: p.write_text("not an image\n" * 100), "truncated, damaged or no OpenEXR"),
         (lambda p: p.write_bytes(p.read_bytes()[:4] + bytes(400)), "truncated, damaged or no"),

@@ -131,3 +131,16 @@ def test_a_mesh_with_nan_or_without_area_is_refused(tmp_path: Path) -> None:
     (tmp_path / "part.ply").unlink()
     with pytest.raises(MeshError, match="does not exist"):
         scenes.meshes(scenes.load(tmp_path / "mine.toml"))
+
+
+def test_a_folder_in_place_of_a_file_is_said_not_to_exist(tmp_path: Path) -> None:
+    for read in (scenes.load, scenes.Stack.read):
+        with pytest.raises(FileError, match="is a folder: give"):
+            read(tmp_path)
+
+
+def test_a_hint_is_not_a_sentence() -> None:
+    with pytest.raises(
+        SceneError, match=r"'bnech', and no TOML file either: did you mean 'bench'\?$"
+    ):
+        scenes.load("bnech")
