@@ -2,7 +2,7 @@
 
 Dr.Jit loads LLVM when it is first imported, from ``DRJIT_LIBLLVM_PATH`` if that is set; afterwards it is too late. Left
 alone it takes whatever the system has, and LLVM 14 and 15 abort the whole process on AVX-512 machines ("Cannot select:
-fminimum"). So `select` decides before drjit is imported.
+fminimum"). So `select` decides before drjit is imported; where somebody else imported it first, it looks at what was loaded.
 """
 
 import ctypes
@@ -12,6 +12,7 @@ import re
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from scenes.errors import BackendError
 
@@ -58,7 +59,8 @@ def find_llvm() -> Llvm | None:
 def select() -> Backend:
     """Choose, and prepare the process for, a backend; call it before drjit or mitsuba is imported.
 
-    Raises `BackendError`, saying what to install, when there is neither CUDA nor a usable LLVM.
+    Raises `BackendError`, saying what to install, when there is neither CUDA nor a usable LLVM, and, saying what to import
+    first, when drjit was imported before and has loaded none, or one that may abort the process.
     """
     llvm = find_llvm()
     if llvm and llvm.origin == "user" and not llvm.path.is_file():
@@ -70,7 +72,8 @@ def select() -> Backend:
             f"{VARIABLE} is '{llvm.path}', LLVM {llvm.version}: Dr.Jit needs {OLDEST_LLVM} or newer "
             "(older ones abort on AVX-512 machines); point it at a newer one, or unset it"
         )
-    if "drjit" not in sys.modules:
+    early = "drjit" in sys.modules
+    if not early:
         # A path that does not exist keeps Dr.Jit from searching the system and finding an LLVM that aborts.
         os.environ[VARIABLE] = str(llvm.path) if llvm else os.devnull
     try:
@@ -81,8 +84,15 @@ def select() -> Backend:
         ) from error
     if drjit.has_backend(drjit.JitBackend.CUDA):
         return Backend("cuda", "cuda_ad_mono", llvm)
-    if drjit.has_backend(drjit.JitBackend.LLVM):
+    loaded = _loaded_version(drjit)
+    if loaded >= OLDEST_LLVM:
         return Backend("llvm", "llvm_ad_mono", llvm)
+    if llvm and (early or loaded):
+        raise BackendError(
+            f"drjit or mitsuba was imported first, and loaded {f'LLVM {loaded}' if loaded else 'no LLVM'}, where "
+            f"{OLDEST_LLVM} or newer is needed (older ones abort on AVX-512 machines); it loads one once only: import render before "
+            f"drjit and mitsuba, or start Python with {VARIABLE}={llvm.path}"
+        )
     raise BackendError(
         f"no CUDA device and no LLVM of version {OLDEST_LLVM} or newer: "
         + (
@@ -92,6 +102,13 @@ def select() -> Backend:
         )
         + f", or set {VARIABLE} to a libLLVM"
     )
+
+
+def _loaded_version(drjit: Any) -> int:
+    """Major version of the LLVM that Dr.Jit has loaded; 0 for none."""
+    if not drjit.has_backend(drjit.JitBackend.LLVM):
+        return 0
+    return int(drjit.detail.llvm_version()[0])
 
 
 def version_of(path: Path) -> int:

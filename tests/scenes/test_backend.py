@@ -84,3 +84,67 @@ def test_without_any_llvm_a_fresh_process_says_so_instead_of_dying() -> None:
 )
 def test_this_machine_has_a_backend() -> None:
     assert backend.select().name in {"llvm", "cuda"}
+
+
+TRACE = (
+    "import render, scenes\n"
+    "light = render.trace(scenes.load('step', {'camera.resolution': [8, 6]}), samples=2)\n"
+    "print('traced', light.total.mean())\n"
+)
+FIRST = {
+    "drjit": "import drjit\n",
+    "mitsuba": "import mitsuba\n",
+    "a variant without drjit's types": "import mitsuba as mi; mi.set_variant('scalar_rgb')\n",
+}
+
+
+def fresh(code: str, llvm: str | None) -> subprocess.CompletedProcess[str]:
+    """A program of its own, with the variable set to `llvm` or not at all."""
+    environment = {k: v for k, v in os.environ.items() if k != backend.VARIABLE}
+    if llvm is not None:
+        environment[backend.VARIABLE] = llvm
+    return subprocess.run(
+        [sys.executable, "-W", "default", "-c", code],
+        capture_output=True,
+        text=True,
+        env=environment,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize("first", FIRST)
+def test_somebody_imported_drjit_first_and_a_good_llvm_is_not_taken(first: str) -> None:
+    found = backend.find_llvm()
+    if found is None:
+        pytest.skip("no LLVM on this machine")
+    done = fresh(FIRST[first] + TRACE, str(found.path))
+    assert done.returncode == 0, done.stderr
+    assert "traced" in done.stdout
+
+
+@pytest.mark.parametrize("first", FIRST)
+def test_somebody_imported_drjit_first_and_the_process_dies(first: str) -> None:
+    # What it loads is the machine's affair: none, one that works, or one that aborts at the first kernel.
+    done = fresh(FIRST[first] + TRACE, None)
+    if done.returncode == 0:
+        assert "traced" in done.stdout
+    else:
+        assert done.returncode == 1, "it died of a signal"
+        assert "BackendError: drjit or mitsuba was imported first" in done.stderr
+
+
+def test_drjit_imported_first_without_any_llvm_blames_the_installation() -> None:
+    if backend.find_llvm() is None:
+        pytest.skip("no LLVM on this machine")
+    done = fresh(
+        "import os, drjit\n"
+        f"del os.environ['{backend.VARIABLE}']\n"
+        "import scenes.backend as b\n"
+        "try: print('chose', b.select().name)\n"
+        "except b.BackendError as e: print('refused', e)\n",
+        os.devnull,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("chose cuda") or (
+        "loaded no LLVM" in done.stdout and f"{backend.VARIABLE}=" in done.stdout
+    )
