@@ -28,21 +28,28 @@ class Judged:
     oracle: NDArray[np.float64]
 
     @classmethod
-    def of(cls, name: str, scene: Scene, samples: int = SAMPLES) -> Self:
-        """Some frames of one projector, drawn at random, each judged by renders of its own."""
+    def of(
+        cls, name: str, scene: Scene, samples: int = SAMPLES, judge: Scene | None = None
+    ) -> Self:
+        """Some frames of one projector, drawn at random, each judged by renders of its own.
+
+        With another scene for `judge`, the fast pass is asked for its direct light alone.
+        """
         rng = chance.generator("frames", name)
         projector = int(rng.integers(len(scene.projectors)))
         count = len(scene.patterns.frames())
         frames = tuple(sorted(int(f) for f in rng.choice(count, FRAMES, replace=False)))
-        judges = [render.mitsuba_scene(scene, frame, projector) for frame in frames]
+        judges = [render.mitsuba_scene(judge or scene, frame, projector) for frame in frames]
         oracle = [
             [
-                np.array(mi.render(judge, spp=samples, seed=seed))[..., 0]
+                np.array(mi.render(one, spp=samples, seed=seed))[..., 0]
                 for seed in chance.seeds(REPEATS, "path", name, frame)
             ]
-            for judge, frame in zip(judges, frames, strict=True)
+            for one, frame in zip(judges, frames, strict=True)
         ]
-        ours = _traced(scene, chance.seeds(REPEATS, "ours", name), samples, projector, frames)
+        seeds = chance.seeds(REPEATS, "ours", name)
+        direct_only = judge is not None
+        ours = _traced(scene, seeds, samples, projector, frames, direct_only=direct_only)
         return cls(scene, projector, frames, ours, np.swapaxes(oracle, 0, 1).astype(np.float64))
 
     def traced_as(
@@ -97,12 +104,8 @@ def _traced(
     projector: int,
     frames: tuple[int, ...],
     depth: int | None = None,
+    direct_only: bool = False,
 ) -> NDArray[np.float64]:
-    return np.stack(
-        [
-            render.trace(scene, seed=seed, samples=samples, depth=depth).frames(projector)[
-                list(frames)
-            ]
-            for seed in seeds
-        ]
-    ).astype(np.float64)
+    traced = (render.trace(scene, seed=seed, samples=samples, depth=depth) for seed in seeds)
+    light = [one.frames(projector, direct_only=direct_only)[list(frames)] for one in traced]
+    return np.stack(light).astype(np.float64)

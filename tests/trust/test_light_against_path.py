@@ -19,6 +19,7 @@ from scipy import stats
 
 import scenes
 from scenes import Scene
+from scenes.scene import Ambient, Sampling
 from tests.trust import chance
 from tests.trust.judged import SAMPLES, Judged
 from tests.trust.random_scenes import random_scene
@@ -30,6 +31,9 @@ RANDOM = 10
 CASES = [*scenes.shipped(), *(f"random-{i}" for i in range(RANDOM))]
 # Half a million triangles of grains, whose smooth normals are most of a trace.
 FEWER = {"solder-grains": 256}
+
+# Direct light apart from the rest, here in full depth against `path` of depth 1.
+DIRECT = ("bench", "solder", "interreflection", "random-0", "random-1")
 
 Judge = Callable[[str], Judged]
 
@@ -64,6 +68,16 @@ def test_a_pixel_of_the_fast_pass_is_not_what_path_gives(
 def test_a_frame_of_the_fast_pass_is_brighter_or_darker_than_paths(case: str, judge: Judge) -> None:
     """Wrong: the brightness of a frame, or of one channel that only some frames have."""
     assert chance.family(judge(case).frame_p_values()) > chance.ALPHA / len(CASES)
+
+
+@pytest.mark.parametrize("case", DIRECT)
+def test_direct_light_is_not_paths_first_surface(case: str, judge: Judge) -> None:
+    """Wrong: light of later surfaces counted as direct, or direct light of other places in the pixel."""
+    scene = judge(case).scene.model_copy(update={"ambient": Ambient()})
+    shallow = scene.model_copy(update={"sampling": Sampling(depth=1)})
+    found = Judged.of(f"direct {case}", scene, FEWER.get(case, SAMPLES), shallow)
+    p = [chance.family(found.pixel_p_values()), chance.family(found.frame_p_values())]
+    assert chance.family(p) > chance.ALPHA / len(DIRECT)
 
 
 def common_bias(found: list[tuple[float, float, float]]) -> tuple[float, float, float, float]:
