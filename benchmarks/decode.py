@@ -162,7 +162,7 @@ def _rows(stack: Stack, truth: Image, rounds: int) -> list[Result]:
         wrong = float(np.mean(~mask | (np.abs(found - truth) > 0.1)))
         assert wrong < 1e-4, f"{name} decoded {wrong:.2%} of the pixels wrongly"
     moved = stack.frames.nbytes + written_bytes(ours)
-    copy = Copy(np.zeros(moved // 2, np.uint8))
+    copy = Copy(moved // 2)
     turns = take_turns([lambda: decode.reconstruct(stack), theirs, opencv, copy], rounds)
     kind = str(stack.frames.dtype)
     columns, rows = stack.resolution

@@ -38,7 +38,7 @@ def measure(quick: bool) -> list[Result]:
     def exposed(noise: bool) -> int:
         return render.expose(light, seed=1, exposures=[time_ms], noise=noise).frames.nbytes
 
-    copy = Copy(light.total)
+    copy = Copy(light.total.nbytes)
     turns = take_turns([lambda: exposed(True), plain, lambda: exposed(False), copy], rounds)
     moved = 1e-9 * (light.total.nbytes + exposed(False))
     amounts = [moved, moved, moved, copy.moved_gb]

@@ -60,7 +60,7 @@ def _row(stack: Stack, rule: str, rounds: int) -> Result:
 
     rec = work()
     moved = stack.frames.nbytes + written_bytes(rec)
-    copy = Copy(np.zeros(moved // 2, np.uint8))
+    copy = Copy(moved // 2)
     turns = take_turns([work, copy], rounds)
     return turns.rate(
         rule,
