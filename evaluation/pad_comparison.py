@@ -136,7 +136,7 @@ def judge(pad: PadMeasure | PadTruth, nominal: PadTruth, limits: Limits) -> tupl
     Only the nominal part of `nominal` is read.
     """
     if pad.volume_mm3 is None or pad.area_mm2 is None or pad.peak_height_mm is None:
-        return ("unmeasured",)
+        return ("missing",) if isinstance(pad, PadMeasure) and pad.bare else ("unmeasured",)
     volume = 100.0 * pad.volume_mm3 / nominal.nominal_volume_mm3
     area = 100.0 * pad.area_mm2 / nominal.aperture_area_mm2
     if volume < limits.missing_percent:

@@ -15,7 +15,7 @@ import shapely
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from decode import Reconstruction
+from decode import Reason, Reconstruction
 from evaluation.features import robust_fit
 from scenes.board_labels import BoardTruth, PadTruth
 from scenes.errors import ScoreError
@@ -33,6 +33,8 @@ AROUND_MM = 0.4
 DOUBLINGS = 4
 # A plane has three coefficients; fewer pixels than this make a poor one.
 PLANE_PIXELS = 50
+# So few heights still have a median; an aperture of which less is known may be anything.
+BARE_PIXELS = 9
 # More tell a robust fit nothing new.
 PLANE_MOST = 4000
 
@@ -59,6 +61,8 @@ class PadMeasure:
     offset_y_mm: float | None = None
     bridged_to: tuple[int, ...] = ()
     """Pads that paste above the threshold connects it with."""
+    bare: bool = False
+    """Without figures, and yet known to have no paste: it shines as metal does (see `measure_pads`)."""
 
 
 def measure_pads(
@@ -75,7 +79,9 @@ def measure_pads(
     Of `board` only what a machine is taught is used: apertures, and the step from mask to pad. `bare` is the same view
     of the unprinted board. A pad owns the pixels nearer to it than to any other pad and within `reach_mm` of it. Invalid
     pixels take the height of the nearest valid one; a pad with fewer than `min_coverage` of its aperture valid, or with
-    no bare board near it, is not measured.
+    no bare board near it, is not measured. Of these a pad is `bare` where most of its aperture is saturated, as light
+    from a mirror is and from grains is not, while the median of what was measured in it, at least `BARE_PIXELS`, stays
+    below the threshold: paste that were merely overexposed would stand above it there.
 
     Raises `ScoreError` for a parameter out of range, a board without pads, or a reconstruction without calibration.
     """
@@ -113,6 +119,8 @@ class _View:
     xy: Floats
     """(row, col, 2) world point of each pixel on the pads' surface."""
     valid: Mask
+    saturated: Mask
+    """Rejected for want of an exposure without clipping."""
     filled: Floats
     """Heights, invalid ones taken from the nearest valid pixel."""
     pixel_mm2: Floats
@@ -146,7 +154,14 @@ class _View:
         owner, distance = _ownership(xy, board.pads, max(reach_mm, CLEAR_MM + AROUND_MM))
         inside = distance <= 0.0
         return cls(
-            xy, valid, filled, area, np.where(distance <= reach_mm, owner, 0), distance, inside
+            xy,
+            valid,
+            rec.reason == Reason.SATURATED,
+            filled,
+            area,
+            np.where(distance <= reach_mm, owner, 0),
+            distance,
+            inside,
         )
 
 
@@ -256,6 +271,16 @@ def _bridges(above: Mask, view: _View) -> dict[int, set[int]]:
     return met
 
 
+def _bare(view: _View, aperture: Mask, above: Mask) -> bool:
+    """Whether an aperture shines, and shows no paste where it does not."""
+    known = aperture & view.valid
+    return (
+        bool(view.saturated[aperture].mean() > 0.5)
+        and int(known.sum()) >= BARE_PIXELS
+        and bool(above[known].mean() < 0.5)
+    )
+
+
 def _measure(
     pad: PadTruth,
     view: _View,
@@ -272,7 +297,8 @@ def _measure(
     centre = np.array([pad.x_mm, pad.y_mm])
     reference = None if plane is None else float(_at(plane, centre))
     if plane is None or coverage < min_coverage:
-        return PadMeasure(pad.pad, pad.name, coverage, reference)
+        bare = plane is not None and _bare(view, aperture, above)
+        return PadMeasure(pad.pad, pad.name, coverage, reference, bare=bare)
     paste = mine & above
     area = view.pixel_mm2[paste]
     share = height[paste] * area

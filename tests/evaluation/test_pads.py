@@ -196,6 +196,42 @@ def test_a_pad_that_was_not_seen_is_not_measured(scene, heights) -> None:
 
 
 @pytest.mark.parametrize(
+    ("known", "shine", "height_mm", "verdict"),
+    [
+        (0.1, 0.9, 0.0, "missing"),
+        # overexposed paste: what is measured of it stands
+        (0.1, 0.9, 0.1, "unmeasured"),
+        # nothing is measured
+        (0.0, 1.0, 0.0, "unmeasured"),
+        # dark, not shining
+        (0.1, 0.2, 0.0, "unmeasured"),
+    ],
+)
+def test_a_bare_pad_that_shines_is_unmeasured_or_an_overexposed_one_missing(
+    known: float, shine: float, height_mm: float, verdict: str, scene, heights
+) -> None:
+    board = scenes.board_truth(scene)
+    truth = render.truth(scene)
+    on_pads = truth.height_mm > board.mask_surface_mm + 0.01
+    draw = np.random.default_rng(0).random(on_pads.shape)
+    reason = np.select(
+        [draw < known, draw < known + shine],
+        [decode.Reason.OK, decode.Reason.SATURATED],
+        decode.Reason.SHADOW,
+    )
+    seen = replace(
+        heights,
+        reason=np.where(on_pads, reason, heights.reason).astype(np.uint8),
+        height_mm=np.where(on_pads, board.pad_surface_mm + height_mm, heights.height_mm).astype(
+            np.float32
+        ),
+    )
+    for pad, true in zip(measure_pads(seen, board), board.pads, strict=True):
+        assert pad.volume_mm3 is None
+        assert judge(pad, true, Limits()) == (verdict,)
+
+
+@pytest.mark.parametrize(
     ("defect", "settings", "verdict"),
     [
         ("missing", {}, "missing"),
