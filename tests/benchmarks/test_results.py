@@ -68,7 +68,7 @@ def test_the_page_loses_its_text_to_the_tables() -> None:
 )
 def test_a_benchmark_of_the_list_cannot_be_run(name: str) -> None:
     module = importlib.import_module(f"benchmarks.{name}")
-    assert list(inspect.signature(module.measure).parameters) == ["quick"]
+    inspect.signature(module.measure).bind(True)
 
 
 def test_scatter_about_the_local_fit_is_not_the_noise() -> None:
