@@ -87,7 +87,7 @@ def run(
     if result.score.features:
         console.print(feature_table(result.score))
     if result.score.light:
-        console.print(told(result.score.light), highlight=False)
+        console.print(told(result.score.light), highlight=False, soft_wrap=True)
     spent = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in result.seconds.items())
     console.print(f"files in {result.folder}  ({spent})", highlight=False)
 
@@ -169,7 +169,7 @@ def render_scene(
         light = figures(transport)
         _print_json(written | traced | ({"light": light} if light else {}))
     elif light := figures(transport):
-        _console().print(told(light), highlight=False)
+        _console().print(told(light), highlight=False, soft_wrap=True)
 
 
 @app.command(

@@ -71,7 +71,7 @@ def compare(
     for name, budget, reason in result.left_out:
         console.print(f"[yellow]left out:[/] {name}, {budget}: {reason}")
     if result.light:
-        console.print(told(result.light))
+        console.print(told(result.light), soft_wrap=True)
     for path in written:
         console.print(f"wrote {path}")
 
