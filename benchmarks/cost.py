@@ -79,11 +79,12 @@ def _row(name: str, sizes: Sequence[float], unit: str, turns: Turns, where: str)
     times, processor = np.median(turns.wall_s, axis=0), np.median(turns.processor_s, axis=0)
     rungs = ", ".join(f"{n:g}: {digits(1e3 * t)} ms" for n, t in zip(sizes, times, strict=True))
     each = 1e3 * (times[-1] - times[0]) / (sizes[-1] - sizes[0])
-    return turns.slower(
+    return turns.beside(
         f"{name}: {sizes[-1]:g} {unit}",
         f"{sizes[0]:g}",
         ours=len(sizes) - 1,
         theirs=0,
+        reads="x baseline",
         note=f"grows as n^{exponent(sizes, times):.2f}, by processor n^{exponent(sizes, processor):.2f}; "
         f"one more: {each:.3g} ms; {rungs}; {where}",
     )

@@ -169,8 +169,8 @@ def _rows(stack: Stack, truth: Image, rounds: int) -> list[Result]:
     note = f"8 frames of {columns} x {rows}, {moved / 1e6:.0f} MB read and written"
     judged = kind != "uint16"
     return [
-        turns.faster(kind, "NumPy, float32", target=FASTER if judged else None, note=note),
-        turns.faster(kind, "OpenCV's functions", theirs=2, note=note),
+        turns.beside(kind, "NumPy, float32", target=FASTER if judged else None, note=note),
+        turns.beside(kind, "OpenCV's functions", theirs=2, note=note),
         turns.rate(
             f"{kind}, bandwidth",
             "copy on all cores",

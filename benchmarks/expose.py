@@ -48,7 +48,7 @@ def measure(quick: bool) -> list[Result]:
         f"bench, {size[0]} x {size[1]}, {frames} frames, EMVA 12 bits, {float(electrons):.0f} electrons on average; "
         f"without noise {wall[2]:.1f} ms"
     )
-    result = turns.slower("", "NumPy's Poisson and normal draws alone")
+    result = turns.beside("", "NumPy's Poisson and normal draws alone", reads="x baseline")
     row = Result(
         "one frame, of a megapixel",
         float(wall[0]),

@@ -27,11 +27,12 @@ def measure(quick: bool) -> list[Result]:
     turns = take_turns(works, rounds)
     note = f"bench, {side} x {side}, {SAMPLES} samples, depth 3"
     rows = [
-        turns.slower(
+        turns.beside(
             f"pass, {len(shown.patterns.frames())} frames",
             f"path, {sampler}, one frame",
             theirs=1 + i,
             unit="s",
+            reads="x baseline",
             target=TIME,
             note=note,
         )

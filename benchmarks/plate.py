@@ -32,10 +32,11 @@ def measure(quick: bool) -> list[Result]:
     taken = float(np.median(turns.wall_s[:, 0]))
     beside = "" if quick else f", {CYCLES_S / taken:.0f} times ours"
     return [
-        turns.slower(
+        turns.beside(
             f"pass, {len(shown.patterns.frames())} frames",
             "path, multijitter, one frame",
             unit="s",
+            reads="x baseline",
             note=f"{size[0]} x {size[1]}, 64 samples, depth 3; scatter on flats {1e3 * errors[SCATTER]:.2f} mrad; two runs "
             f"differ by {1e3 * errors[P95]:.2f} mrad (95th percentile). Blender Cycles took {CYCLES_S:.0f} s at 640 x 480, "
             f"once, on two cores, at equal scatter{beside}; it was not run here",

@@ -146,7 +146,7 @@ def _row(
     exponent = np.log(theirs[0] / theirs[1]) / np.log(MORE)
     scaled = Turns(turns.wall_s * (1.0, longer), turns.processor_s * (1.0, longer))
     columns, rows = shown.camera.resolution
-    return scaled.faster(
+    return scaled.beside(
         f"{sampler}, {seeding}: {name}",
         f"path, {frames} frames to the same error",
         unit="s",

@@ -13,6 +13,7 @@ SCHEMA = 1
 WIDTH = 170
 BEGIN, END = "<!-- measured -->", "<!-- end of measured -->"
 Sense = Literal["at least", "at most"]
+Reads = Literal["x faster", "x baseline"]
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class Result:
     baseline_value: float | None = None
     ratio: float | None = None
     """Median of the ratios of paired runs, where there are pairs."""
-    reads: Literal["x faster", "x baseline"] = "x baseline"
+    reads: Reads = "x baseline"
     """`x faster`: baseline over value; `x baseline`: value over baseline."""
     processor_value: float | None = None
     """`value` from processor time, all threads together: what other programs hardly change."""

@@ -44,7 +44,7 @@ def measure(quick: bool) -> list[Result]:
     stages = {name: float(np.median([spent[name] for _, spent in warm])) for name in warm[0][1]}
     rows += [_share(name, seconds, taken) for name, seconds in stages.items()]
     rows.append(_share("the rest: start, imports, tables", taken - sum(stages.values()), taken))
-    rows.append(_share("of the rest, imports", imports.wall_s, taken))
+    rows.append(_share("imports, among the rest", imports.wall_s, taken))
     return rows
 
 

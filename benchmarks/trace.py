@@ -24,11 +24,12 @@ def measure(quick: bool) -> list[Result]:
     turns = take_turns(works, rounds)
     frames = len(shown.patterns.frames())
     return [
-        turns.slower(
+        turns.beside(
             f"pass, {frames} frames",
             f"path, {sampler}, one frame",
             theirs=1 + i,
             unit="s",
+            reads="x baseline",
             target=TARGET,
             note=f"bench, {size[0]} x {size[1]}, {samples} samples, depth 3; {rounds} rounds",
         )

@@ -7,13 +7,13 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.result import Result, Target
+from benchmarks.result import Reads, Result, Target
 
 Work = Callable[[], object]
 
@@ -25,18 +25,20 @@ class Turns:
     wall_s: NDArray[np.float64]
     processor_s: NDArray[np.float64]
 
-    def faster(
+    def beside(
         self,
         name: str,
         baseline: str,
         ours: int = 0,
         theirs: int = 1,
         unit: str = "ms",
+        reads: Reads = "x faster",
         target: Target | None = None,
         note: str = "",
     ) -> Result:
-        """How much faster one work is than another."""
+        """One work's time beside another's."""
         scale = {"s": 1.0, "ms": 1e3}[unit]
+        over, under = (theirs, ours) if reads == "x faster" else (ours, theirs)
         wall, processor = self.wall_s, self.processor_s
         return Result(
             name,
@@ -44,26 +46,13 @@ class Turns:
             unit,
             baseline,
             scale * float(np.median(wall[:, theirs])),
-            float(np.median(wall[:, theirs] / wall[:, ours])),
-            "x faster",
+            float(np.median(wall[:, over] / wall[:, under])),
+            reads,
             scale * float(np.median(processor[:, ours])),
             scale * float(np.median(processor[:, theirs])),
-            float(np.median(processor[:, theirs] / processor[:, ours])),
+            float(np.median(processor[:, over] / processor[:, under])),
             target,
             note,
-        )
-
-    def slower(self, *args: Any, **kwargs: Any) -> Result:
-        """The same as `faster`, the ratio the other way: how many times the baseline's time a work takes."""
-        one = self.faster(*args, **kwargs)
-        ours, theirs = kwargs.get("ours", 0), kwargs.get("theirs", 1)
-        return replace(
-            one,
-            ratio=float(np.median(self.wall_s[:, ours] / self.wall_s[:, theirs])),
-            reads="x baseline",
-            processor_ratio=float(
-                np.median(self.processor_s[:, ours] / self.processor_s[:, theirs])
-            ),
         )
 
     def rate(

@@ -24,12 +24,12 @@ TURNS = Turns(np.array([[2.0, 8.0], [30.0, 60.0]]), np.array([[1.0, 5.0], [1.0, 
 
 
 def test_a_ratio_is_not_of_the_pairs_that_took_turns() -> None:
-    faster = TURNS.faster("ours", "theirs", unit="s")
+    faster = TURNS.beside("ours", "theirs", unit="s")
     # of the medians it would be 34 / 16
     assert faster.ratio == pytest.approx(3.0)
     assert faster.processor_ratio == pytest.approx(6.0)
     assert (faster.value, faster.baseline_value) == (16.0, 34.0)
-    slower = TURNS.slower("ours", "theirs", unit="s")
+    slower = TURNS.beside("ours", "theirs", unit="s", reads="x baseline")
     assert slower.ratio == pytest.approx((0.25 + 0.5) / 2)
     rate = TURNS.rate("ours", "theirs", [6.0, 6.0], "GB/s")
     assert rate.ratio == pytest.approx(3.0)
@@ -47,7 +47,7 @@ def test_a_missed_target_passes_for_met() -> None:
 
 def test_json_lacks_what_the_page_lists() -> None:
     made = json.loads(
-        json.dumps(TURNS.faster("a", "b", target=Target("ratio", "at least", 2.0)).to_dict())
+        json.dumps(TURNS.beside("a", "b", target=Target("ratio", "at least", 2.0)).to_dict())
     )
     assert made["target"] == {"of": "ratio", "sense": "at least", "limit": 2.0}
     listed = re.search(r"`results`.*?\n\n(.*?)(?:\n\n|\Z)", PAGE.read_text("utf-8"), re.DOTALL)
