@@ -6,6 +6,7 @@ has no 16-bit integers, so a uint16 plane is read as 32-bit words and split in t
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib import import_module
 from typing import Any, Literal
 
@@ -22,6 +23,12 @@ Lanes = Any
 PACKET = 64
 
 
+@lru_cache(maxsize=1)
+def _best() -> str:
+    """The machine's best backend, found once: where Dr.Jit is loaded, another LLVM comes too late."""
+    return backend.select().name
+
+
 @dataclass(frozen=True)
 class Device:
     """A Dr.Jit backend: `dr` is the package, `types` its ``drjit.llvm`` or ``drjit.cuda``."""
@@ -32,8 +39,8 @@ class Device:
     @classmethod
     def open(cls, name: Literal["llvm", "cuda"] | None = None) -> "Device":
         """The named backend, else CUDA where there is a device, else LLVM. Raises `BackendError` if it is missing."""
-        found = backend.select()
-        chosen = name or found.name
+        best = _best()
+        chosen = name or best
         import drjit as dr  # after `select`, which tells it where LLVM is
 
         if not dr.has_backend(getattr(dr.JitBackend, chosen.upper())):

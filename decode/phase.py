@@ -5,7 +5,7 @@ the solution is the discrete Fourier transform's first bin (Bruning et al. 1974;
 ``phi = atan2(I3 - I1, I0 - I2)``); other steps go through the same normal equations (Greivenkamp 1984).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import groupby
@@ -30,6 +30,7 @@ ATAN = (
     0.021862953901290894,
     -0.004054565913975239,
 )
+Terms = Mapping[tuple[int, int], float]
 # Coefficients below this are the rounding of an exact zero such as cos(pi / 2).
 NEGLIGIBLE = 1e-12
 
@@ -110,16 +111,7 @@ def variance_rad2(
     ``2 sigma^2 / (N B^2)``; with N = 3 the slope adds ``-slope cos(3 phi) / (3 B)``, for then the bright steps' noise does
     not average out.
     """
-    rows, shifts = solution(fringes)[1:], np.asarray(fringes.shifts_rad)
-    # phi moves by (cosine rows[1] - sine rows[0]) / B^2 per DN of a step: its square, times constants per step
-    waves = np.stack([np.cos(shifts), -np.sin(shifts)])
-    square = {(2, 0): rows[1] ** 2, (1, 1): -2.0 * rows[0] * rows[1], (0, 2): rows[0] ** 2}
-    even = {power: float(step.sum()) for power, step in square.items()}
-    odd: dict[tuple[int, int], float] = {}
-    for (i, j), step in square.items():
-        for di, wave in enumerate(waves[::-1]):
-            power = (i + di, j + 1 - di)
-            odd[power] = odd.get(power, 0.0) + float(slope * (step * wave).sum())
+    even, odd = _variance_terms(fringes, slope)
     power2 = cosine * cosine + sine * sine
     # the reciprocal by multiplication: see `Device.root`
     import drjit as dr  # not before `Device.open` has told it where LLVM is
@@ -135,7 +127,23 @@ def variance_rad2(
     return total * inverse * inverse
 
 
-def _polynomial(coefficients: dict[tuple[int, int], float], cosine: Lanes, sine: Lanes) -> Lanes:
+@lru_cache(maxsize=256)
+def _variance_terms(fringes: FringeSet, slope: float) -> tuple[Terms, Terms]:
+    """Coefficients of ``cosine^i sine^j`` by (i, j), times B^4: of the mean variance, and of the steps' departure from it."""
+    rows, shifts = solution(fringes)[1:], np.asarray(fringes.shifts_rad)
+    # phi moves by (cosine rows[1] - sine rows[0]) / B^2 per DN of a step: its square, times constants per step
+    waves = np.stack([np.cos(shifts), -np.sin(shifts)])
+    square = {(2, 0): rows[1] ** 2, (1, 1): -2.0 * rows[0] * rows[1], (0, 2): rows[0] ** 2}
+    even = {power: float(step.sum()) for power, step in square.items()}
+    odd: dict[tuple[int, int], float] = {}
+    for (i, j), step in square.items():
+        for di, wave in enumerate(waves[::-1]):
+            power = (i + di, j + 1 - di)
+            odd[power] = odd.get(power, 0.0) + float(slope * (step * wave).sum())
+    return even, odd
+
+
+def _polynomial(coefficients: Terms, cosine: Lanes, sine: Lanes) -> Lanes:
     """Sum of ``c cosine^i sine^j``."""
     total = 0.0
     for (i, j), value in coefficients.items():
