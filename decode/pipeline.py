@@ -265,7 +265,7 @@ class _Kernel:
             residuals,
             usable,
             sigma_px,
-            self._not_a_number(samples, phasors),
+            self._not_a_number(phasors),
             *(self._lit(samples[-1]) if axis == plan.axis else ()),
         )
 
@@ -371,16 +371,13 @@ class _Kernel:
     def _whole_numbers(self) -> bool:
         return bool(np.issubdtype(self.plan.stack.frames.dtype, np.integer))
 
-    def _not_a_number(self, samples: list[fusion.Samples], phasors: list[Phasor]) -> Lanes | None:
+    def _not_a_number(self, phasors: list[Phasor]) -> Lanes | None:
         """Where samples are NaN or infinite and the rule found no way around; None where none can be."""
         if self._whole_numbers:
             return None
-        dr, lost = self.device.dr, self.device.types.Bool(False)
-        for taken, phasor in zip(samples, phasors, strict=True):
-            total = taken.phasor(0).offset
-            for exposure in range(1, len(taken.exposure_ms)):
-                total = total + taken.phasor(exposure).offset
-            lost = lost | ~dr.isfinite(phasor.offset) | (~phasor.usable & dr.isnan(total))
+        lost = self.device.types.Bool(False)
+        for phasor in phasors:
+            lost = lost | ~self.device.dr.isfinite(phasor.offset)
         return lost
 
     def _samples(self, fringes: FringeSet, at: Lanes | None) -> fusion.Samples:
