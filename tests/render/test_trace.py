@@ -66,6 +66,8 @@ def test_indirect_light_of_one_seed_is_independent_of_its_neighbours() -> None:
     scene = rigs.scene(rigs.pinhole(), rigs.pinhole_projector(), objects=rigs.groove())
     light = np.stack([render.trace(scene, seed=i, samples=16).total[0, 0] for i in range(40)])
     spread = light - light.mean(axis=0)
+    # How well a seed learns where to look sets the size of its noise in all pixels; its signs are what must be free.
+    spread /= spread.std(axis=(1, 2), keepdims=True)
     spread /= spread.std(axis=0)
     # Correlations between pixels over 40 seeds scatter by 1/sqrt(39); their mean square tells of a common cause.
     pixels = spread.reshape(40, -1)

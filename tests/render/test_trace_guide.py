@@ -1,0 +1,119 @@
+"""Learnt directions: their density is the one they are drawn with, they bias nothing, and they are worth their trouble."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import stats
+
+import render
+from render import survey, tracer
+from render.guide import CELLS, COLUMNS, ENTRIES, ROWS, Guide, direction
+from render.variant import dr, mi, use
+from scenes import Scene
+from tests.render import rigs
+
+GROOVE = rigs.scene(rigs.pinhole(), rigs.pinhole_projector(), objects=rigs.groove(), depth=4)
+
+
+def guide(table: NDArray[np.float32]) -> Guide:
+    """One tile for all, with that (cell,) table."""
+    use()
+    counts, entries = survey._entries(table[None], table.sum(keepdims=True, dtype=np.float64))
+    share, yes = mi.Float(1), mi.Bool(True)
+    return Guide(1, 1, share, yes, yes, mi.UInt32(entries.ravel()), mi.UInt32(counts.ravel()))
+
+
+def test_directions_are_drawn_with_the_density_that_weighs_them() -> None:
+    rng = np.random.default_rng(0)
+    # A few bright cells, many dim ones, and half without any.
+    learnt = guide((rng.random(CELLS) ** 8 * (rng.random(CELLS) < 0.5)).astype(np.float32))
+    count = 400_000
+    pair = mi.Point2f(*(mi.Float(n.astype(np.float32)) for n in rng.random((2, count))))
+    tile, yes = dr.zeros(mi.UInt32, count), dr.full(mi.Bool, True, count)
+    way = learnt.sample(tile, pair, yes)
+    density = learnt.density(tile, way, yes).numpy()
+    x, y, z = np.array(way)
+
+    cell = np.minimum(z * ROWS, ROWS - 1).astype(int) * COLUMNS
+    cell += (np.arctan2(y, x) % (2 * np.pi) / (2 * np.pi) * COLUMNS).astype(int) % COLUMNS
+    seen = np.bincount(cell, minlength=CELLS)
+    expected = learnt.counts.numpy() / ENTRIES * count
+    # Directions on a cell's very edge may round into its neighbour: some in 1e5.
+    assert np.abs(seen - expected)[expected == 0].max() <= 1e-4 * count
+    some = expected > 0
+    assert (
+        stats.chisquare(seen[some] * (expected.sum() / seen[some].sum()), expected[some]).pvalue
+        > 1e-3
+    )
+    # 1 / density is the solid angle that samples cover; inside a cell they are uniform.
+    covered = some.sum() * 2 * np.pi / CELLS
+    inverse = 1 / density[density > 0]
+    assert inverse.mean() == pytest.approx(covered, abs=5 * inverse.std() / np.sqrt(count))
+    for inside in ((z * ROWS) % 1, (np.arctan2(y, x) / (2 * np.pi) * COLUMNS) % 1):
+        assert stats.kstest(inside, "uniform").pvalue > 1e-3
+
+
+def test_a_cell_holds_the_directions_of_its_place() -> None:
+    use()
+    cell = dr.arange(mi.UInt32, CELLS)
+    way = direction(cell, mi.Point2f(0.5))
+    every = mi.UInt32(np.arange(CELLS))
+    entries = mi.UInt32(np.zeros(ENTRIES, np.uint32))
+    # Counts that name their cell come back from the direction.
+    named = Guide(1, 1, mi.Float(1), mi.Bool(True), mi.Bool(True), entries, every)
+    density = named.density(dr.zeros(mi.UInt32, CELLS), way, mi.Bool(True)).numpy()
+    np.testing.assert_allclose(density * (2 * np.pi * ENTRIES) / CELLS, np.arange(CELLS), rtol=1e-5)
+
+
+def mean_light(scene: Scene, samples: int, repeats: int, start: int) -> NDArray[np.float64]:
+    """(repeat,): the image's mean indirect light, first channel."""
+    seeds = np.random.default_rng(start).integers(0, 2**31, repeats)
+    light = [render.trace(scene, seed=int(i), samples=samples) for i in seeds]
+    return np.array([(t.total[0, 0] - t.direct[0, 0]).mean(dtype=np.float64) for t in light])
+
+
+@pytest.mark.parametrize("samples", [1, 3])
+def test_so_few_paths_that_not_every_kind_has_one_are_unbiased(samples: int) -> None:
+    # `path` judges 128 samples (test_trace_oracle); those judge the few.
+    few, many = mean_light(GROOVE, samples, 48, 1), mean_light(GROOVE, 128, 12, 2)
+    assert stats.ttest_ind(few, many, equal_var=False).pvalue > 1e-3
+    # Teeth: kinds of paths that are never taken cost far more than the 10 % that five standard errors see.
+    assert stats.sem(few) < 0.02 * many.mean()
+
+
+def test_learnt_directions_make_indirect_light_quieter(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A plate with a cap and a step: most bounces leave for the sky.
+    scene = rigs.scene(rigs.pinhole((48, 36)), rigs.pinhole_projector(), depth=2)
+
+    def noise() -> float:
+        light = [render.trace(scene, seed=i, samples=256) for i in range(8)]
+        later = np.stack([t.total[0, 1] - t.direct[0, 1] for t in light])
+        return float(np.median(later.var(axis=0, ddof=1)))
+
+    learnt = noise()
+    # As many paths, all drawn by the BSDF.
+    monkeypatch.setattr(survey, "WORTH", 0.0)
+    monkeypatch.setattr(survey, "SAFETY", 0.0)
+    monkeypatch.setattr(survey, "UNAIMED", 0.0)
+    plain = noise()
+    print(f"variance {plain:.3g} without, {learnt:.3g} with")
+    # A table is used where it promises half the variance.
+    assert learnt < 0.5 * plain
+
+
+def test_surfaces_that_no_table_can_hold_are_left_to_their_own_sampling(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene = rigs.scene(rigs.pinhole(), rigs.pinhole_projector(), objects=rigs.resin(), depth=4)
+    learnt: list[Guide] = []
+
+    def kept(*arguments: object) -> Guide:
+        learnt.append(survey.survey(*arguments))  # type: ignore[arg-type]
+        return learnt[-1]
+
+    monkeypatch.setattr(tracer, "survey", kept)
+    transport = render.trace(scene, samples=576)
+    row, column = np.nonzero(transport.label == scene.labels.index("resin") + 1)
+    tile = row // learnt[0].tile_px * learnt[0].columns + column // learnt[0].tile_px
+    assert not learnt[0].aimed.numpy()[tile].any()
+    np.testing.assert_array_equal(learnt[0].share.numpy()[tile], 1)
