@@ -17,8 +17,10 @@ from render.light import Light
 from render.optics import Optics
 from render.variant import dr, mi
 
-# A tile's side in pixels is this over the root of the samples: looking then costs a like share of any pass.
+# A tile's side in pixels is this over the root of the samples: looking then costs a like share of any pass. In small
+# images, where it costs nothing, so many tiles lie along the longer side.
 TILE_PX_OF_ONE_SAMPLE = 96
+FEWEST_TILES = 20
 SMALLEST_TILE_PX = 4
 # Looks in memory at once, 64 byte each.
 MOST_TILES = 1 << 13
@@ -36,7 +38,10 @@ MOST, FEWEST = 4.0, 0.25
 UNAIMED = 0.5
 # Paths per sample on average, at least, and so many more than would reach the noise of plain ones, one a sample.
 LEAST, SAFETY = 0.25, 1.5
-# From this scatter of direct light within a tile on, relative to its mean, edges and grain want many places in a pixel.
+# Paths of a pixel on average, at least, unless it has fewer samples: of one or two none could be aimed.
+FEWEST_PATHS = 4
+# From this scatter of direct light within a tile on, relative to its mean, and of normals, edges and grain want many
+# places in a pixel.
 BUSY = 0.1
 
 Floats = NDArray[np.float32]
@@ -49,13 +54,14 @@ class Tiles:
     width: int
     height: int
     side: int
+    samples: int
 
     @staticmethod
     def of(size: tuple[int, int], samples: int) -> "Tiles":
         """Tiles of an image of columns and rows."""
-        side = TILE_PX_OF_ONE_SAMPLE / samples**0.5
+        side = min(TILE_PX_OF_ONE_SAMPLE / samples**0.5, max(size) / FEWEST_TILES)
         side = max(side, SMALLEST_TILE_PX, (size[0] * size[1] / MOST_TILES) ** 0.5)
-        return Tiles(*size, int(np.ceil(side)))
+        return Tiles(*size, int(np.ceil(side)), samples)
 
     @property
     def rows(self) -> int:
@@ -84,7 +90,7 @@ class _Seen:
     likely: Floats
     """(tile, cell): density with which the BSDF draws that direction."""
     back: Floats
-    """(tile, cell): radiance that comes back from there."""
+    """(tile, cell): radiance that comes back from there, 1 for the brightest."""
 
 
 def survey(
@@ -103,9 +109,9 @@ def survey(
     # One direction or another side, which no table holds.
     odd = mi.has_flag(flags, mi.BSDFFlags.Delta) | mi.has_flag(flags, mi.BSDFFlags.Transmission)
     odd = (eye.is_valid() & odd).numpy().reshape(tiles.count, POINTS).any(axis=1)
-    lit = direct.numpy().reshape(tiles.count, POINTS)
+    lit = _relative(direct.numpy().reshape(tiles.count, POINTS))
     mean = lit.mean(axis=1)
-    busy = (lit.std(axis=1) > BUSY * mean) | odd
+    busy = (lit.std(axis=1) > BUSY * mean) | _edged(eye, tiles.count) | odd
     if depth == 1 and sky is None:
         none = mi.UInt32(0)
         share, aimed = dr.zeros(mi.Float, tiles.count), dr.zeros(mi.Bool, tiles.count)
@@ -125,7 +131,16 @@ def survey(
     return Guide(
         tiles.side,
         tiles.columns,
-        mi.Float(_shares(whole / dark, np.sqrt(plain) / dark, np.sqrt(mixed) / dark, aimed, odd)),
+        mi.Float(
+            _shares(
+                whole / dark,
+                np.sqrt(plain) / dark,
+                np.sqrt(mixed) / dark,
+                aimed,
+                odd,
+                tiles.samples,
+            )
+        ),
         mi.Bool(busy),
         mi.Bool(aimed),
         mi.UInt32(entries.ravel()),
@@ -150,6 +165,17 @@ def _points(
     direct = _lit(scene, lights, eye, other, eye.is_valid())
     dr.eval(eye, direct)
     return eye, direct
+
+
+def _edged(eye: Any, count: int) -> NDArray[np.bool_]:
+    """(tile,): whether surfaces end there: two parts of one paint may look alike, yet have phases of their own."""
+    part = dr.reinterpret_array(mi.UInt32, eye.shape).numpy().reshape(count, POINTS)
+    normal = np.array(dr.select(eye.is_valid(), eye.n, 0)).reshape(3, count, POINTS)
+    together = np.sqrt((normal.mean(axis=2) ** 2).sum(axis=0))
+    # Unit vectors that scatter by s have a mean 1 - s^2 / 2 long.
+    edged: NDArray[np.bool_] = part.min(axis=1) != part.max(axis=1)
+    edged |= (part.max(axis=1) > 0) & (together < 1 - BUSY**2 / 2)
+    return edged
 
 
 def _looks(
@@ -182,7 +208,8 @@ def _looks(
     value, likely, back = (dr.select(active, a, 0) for a in (value.x, likely, back))
     dr.eval(value, likely, back)
     shape = (tiles.count, CELLS)
-    return _Seen(*(a.numpy().reshape(shape) for a in (value, likely, back)))
+    found = (a.numpy().reshape(shape) for a in (value, likely, back))
+    return _Seen(next(found), next(found), _relative(next(found)))
 
 
 def _lit(scene: Any, lights: Sequence[Light], si: Any, pupil: Any, active: Any) -> Any:
@@ -232,6 +259,7 @@ def _shares(
     mixed: NDArray[np.float64],
     aimed: NDArray[np.bool_],
     odd: NDArray[np.bool_],
+    samples: int,
 ) -> Floats:
     """(tile,): paths per sample, in proportion to the need; `plain` and `mixed` are a path's noise without and with.
 
@@ -241,7 +269,8 @@ def _shares(
     need = np.where(odd, 0, need)
     before = plain[~odd].sum()
     after = np.where(aimed, mixed, plain)[~odd].sum()
-    mean = np.clip(SAFETY * (after / max(before, 1e-30)) ** 2, LEAST, 1)
+    least = min(max(LEAST, FEWEST_PATHS / samples), 1)
+    mean = np.clip(SAFETY * (after / max(before, 1e-30)) ** 2, least, 1)
     share = np.ones(len(need))
     if need.any():
         scale = 1.0
@@ -253,6 +282,13 @@ def _shares(
     share = np.where(~aimed & (plain > 0), np.maximum(share, UNAIMED), share)
     result: Floats = np.where(odd, 1, share).astype(np.float32)
     return result
+
+
+def _relative(light: Floats) -> Floats:
+    """Light from 0 to 1 for the brightest. Where float32 does not hold it, it counts for nothing: the pass refuses it."""
+    light = np.where(np.isfinite(light), light, 0)
+    brightest = light.max(initial=0)
+    return light / brightest if brightest > 0 else light
 
 
 def _mean_of_some(values: Floats) -> np.float32:

@@ -61,11 +61,13 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_fast_pass_equals_path_in_every_pixel_and_in_the_mean(case: str) -> None:
     checked = CASES[case]
-    comparison = compare(checked, frame=1, projector=len(checked.projectors) - 1)
+    # What comes back out of resin scatters most, in `path` above all: more repeats keep the test's teeth.
+    repeats = 32 if case == "translucent" else 24
+    comparison = compare(checked, frame=1, projector=len(checked.projectors) - 1, repeats=repeats)
 
     # One case in a thousand fails by chance, or would, were the seeds not fixed.
     assert comparison.smallest_p() > 1e-3
-    # Three standard errors; the t distribution knows that the error itself is estimated from 24 repeats.
+    # Three standard errors; the t distribution knows that the error itself is estimated from the repeats.
     bias, error, p = comparison.mean_bias()
     assert p > 2 * stats.norm.sf(3), f"bias {bias:.1e}, standard error {error:.1e}"
     # The test has teeth: half a percent of bias would be seen.
