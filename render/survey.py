@@ -30,8 +30,10 @@ POINTS = 32
 SOLID_ANGLE = 2 * np.pi / CELLS
 # Light of later bounces, relative to the mean of what surfaces send back: a dark surface in sight is not nothing.
 LATER = 0.5
-# A table must halve the variance: its paths, which all meet something, cost up to twice as much.
+# A table must halve the variance: its paths, which all meet something, cost up to twice as much. And paths must scatter
+# by their mean without it: of quiet light, as of an even sky, the few looks know no variance but their own noise.
 WORTH = 0.5
+QUIET = 1.0
 # Most and fewest paths of a tile, relative to the mean.
 MOST, FEWEST = 4.0, 0.25
 # Fewest paths per sample of a tile that sees light but is given no table.
@@ -122,9 +124,10 @@ def survey(
     whole = table.sum(axis=1, dtype=np.float64)
     # A look says nothing about the table it made itself: its part of the blur, 1/16, is left out.
     others = np.maximum(table - 16 * light, 0) / np.maximum(whole, 1e-30)[:, None] / SOLID_ANGLE
+    sent = _sent(seen)
     plain = _spread(seen, seen.likely)
     mixed = _spread(seen, AIMED / GROUP * others + (1 - AIMED / GROUP) * seen.likely)
-    aimed = (whole > 0) & ~odd & (mixed < WORTH * plain)
+    aimed = (whole > 0) & ~odd & (mixed < WORTH * plain) & (plain > QUIET * sent**2)
     # Noise of the phase: indirect light over direct light.
     dark = np.maximum(mean, 0.05 * _mean_of_some(mean) + 1e-30)
     counts, entries = _entries(table, whole)
@@ -226,13 +229,18 @@ def _lit(scene: Any, lights: Sequence[Light], si: Any, pupil: Any, active: Any) 
     return radiance
 
 
+def _sent(seen: _Seen) -> NDArray[np.float64]:
+    """(tile,): indirect light that is sent on to the camera: the mean of a path, however drawn."""
+    sent: NDArray[np.float64] = (seen.value * seen.back).sum(axis=1, dtype=np.float64) * SOLID_ANGLE
+    return sent
+
+
 def _spread(seen: _Seen, density: Floats) -> NDArray[np.float64]:
     """(tile,): variance of one path drawn with that density, (tile, cell)."""
     light = seen.value * seen.back
     square = np.divide(light * light, density, out=np.zeros_like(light), where=density > 0)
-    mean = light.sum(axis=1, dtype=np.float64) * SOLID_ANGLE
     spread: NDArray[np.float64] = np.maximum(
-        square.sum(axis=1, dtype=np.float64) * SOLID_ANGLE - mean**2, 0
+        square.sum(axis=1, dtype=np.float64) * SOLID_ANGLE - _sent(seen) ** 2, 0
     )
     return spread
 

@@ -17,6 +17,7 @@ from typing import Any
 from scenes.errors import BackendError
 
 VARIABLE = "DRJIT_LIBLLVM_PATH"
+WANTED = "FRINGEBENCH_BACKEND"
 OLDEST_LLVM = 16
 PACKAGE = "karellen-llvm-core"
 
@@ -59,9 +60,14 @@ def find_llvm() -> Llvm | None:
 def select() -> Backend:
     """Choose, and prepare the process for, a backend; call it before drjit or mitsuba is imported.
 
-    Raises `BackendError`, saying what to install, when there is neither CUDA nor a usable LLVM, and, saying what to import
-    first, when drjit was imported before and has loaded none, or one that may abort the process.
+    CUDA where there is a device, else LLVM; ``FRINGEBENCH_BACKEND`` (llvm or cuda) has the last word.
+
+    Raises `BackendError`, saying what to install, when there is neither CUDA nor a usable LLVM, or not the one wanted; and,
+    saying what to import first, when drjit was imported before and has loaded none, or one that may abort the process.
     """
+    wanted = os.environ.get(WANTED) or None
+    if wanted not in (None, "llvm", "cuda"):
+        raise BackendError(f"{WANTED} is '{wanted}': set it to llvm or cuda, or unset it")
     llvm = find_llvm()
     if llvm and llvm.origin == "user" and not llvm.path.is_file():
         raise BackendError(
@@ -82,8 +88,12 @@ def select() -> Backend:
         raise BackendError(
             f"drjit cannot be loaded ({error}): it needs the system's libatomic.so.1 (Debian: libatomic1)"
         ) from error
-    if drjit.has_backend(drjit.JitBackend.CUDA):
+    if wanted != "llvm" and drjit.has_backend(drjit.JitBackend.CUDA):
         return Backend("cuda", "cuda_ad_mono", llvm)
+    if wanted == "cuda":
+        raise BackendError(
+            f"{WANTED} is 'cuda', but Dr.Jit finds no CUDA device (an NVIDIA card and its driver): unset it to use the processor"
+        )
     loaded = _loaded_version(drjit)
     if loaded >= OLDEST_LLVM:
         return Backend("llvm", "llvm_ad_mono", llvm)
@@ -94,7 +104,7 @@ def select() -> Backend:
             f"drjit and mitsuba, or start Python with {VARIABLE}={llvm.path}"
         )
     raise BackendError(
-        f"no CUDA device and no LLVM of version {OLDEST_LLVM} or newer: "
+        f"no {'' if wanted else 'CUDA device and no '}LLVM of version {OLDEST_LLVM} or newer: "
         + (
             f"pip install {PACKAGE}==22.1.8"
             if sys.platform == "linux"

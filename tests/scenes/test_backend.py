@@ -148,3 +148,21 @@ def test_drjit_imported_first_without_any_llvm_blames_the_installation() -> None
     assert done.stdout.startswith("chose cuda") or (
         "loaded no LLVM" in done.stdout and f"{backend.VARIABLE}=" in done.stdout
     )
+
+
+@pytest.mark.parametrize(
+    ("wanted", "said"), [("gpu", "set it to llvm or cuda"), ("cuda", "finds no CUDA device")]
+)
+def test_a_wish_that_cannot_be_met_is_not_ignored(
+    monkeypatch: pytest.MonkeyPatch, wanted: str, said: str
+) -> None:
+    if wanted == "cuda" and backend.select().name == "cuda":
+        pytest.skip("there is a CUDA device")
+    monkeypatch.setenv(backend.WANTED, wanted)
+    with pytest.raises(BackendError, match=said):
+        backend.select()
+
+
+def test_the_processor_can_be_wished_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(backend.WANTED, "llvm")
+    assert backend.select().variant == "llvm_ad_mono"
