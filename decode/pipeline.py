@@ -288,15 +288,17 @@ class _Kernel:
         samples = self._samples(self.plan.sets[self.plan.axis][-1], None)
         levels = shadow.level(samples)
         phasor = self.rule.fuse(samples)
-        # clipped light is no shadow, and NaN is nothing
-        dark = (
-            phasor.usable & dr.isfinite(phasor.offset) & ~(levels >= dr.opaque(types.Float, least))
+        # clipped light is no shadow; NaN, and what float32 cannot square, is neither shadow nor light
+        real = dr.isfinite(phasor.offset) & dr.isfinite(levels)
+        dark = phasor.usable & real & ~(levels >= dr.opaque(types.Float, least))
+        what = dr.select(
+            dark,
+            types.UInt32(shadow.DARK),
+            dr.select(real, types.UInt32(0), types.UInt32(shadow.NOTHING)),
         )
-        dark = types.UInt8(dr.select(dark, types.UInt32(1), types.UInt32(0)))
-        dr.eval(levels, dark)
-        images = (lanes.numpy().reshape(self.image) for lanes in (levels, dark))
-        found, where = images
-        return shadow.borders(found, where > 0, least)
+        dr.eval(levels, what)
+        found, where = (lanes.numpy().reshape(self.image) for lanes in (levels, what))
+        return shadow.borders(found, where == shadow.DARK, where == shadow.NOTHING, least)
 
     def _phase(self, fringes: FringeSet, phasor: Phasor) -> Lanes:
         """Wrapped phase, gamma undone."""

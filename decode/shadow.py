@@ -28,6 +28,8 @@ STRAY = 2.5
 HALF, NEIGHBOURS = 0.5, 2
 # Pixels that tell how bright the lit surface beside an edge is lie at most this far off.
 REACH = 2
+# What a pixel may be.
+DARK, NOTHING = 1, 2
 
 
 def level(samples: Samples) -> Lanes:
@@ -65,9 +67,12 @@ def typical(levels: NDArray[np.float32]) -> float:
 
 
 def borders(
-    levels: NDArray[np.float32], dark: NDArray[np.bool_], least: float
+    levels: NDArray[np.float32],
+    dark: NDArray[np.bool_],
+    nothing: NDArray[np.bool_],
+    least: float,
 ) -> NDArray[np.bool_]:
-    """What belongs to the shadow `dark` though it is brighter than `least`; all (row, col).
+    """What belongs to the shadow `dark` though it is brighter than `least`; all (row, col). `nothing`: no samples.
 
     Two things border on shadow and decode without a doubt, wrongly. Stray light that is somewhat brighter: up to `STRAY`
     times the least, as far as it reaches from the shadow without a gap. And pixels across the shadow's edge: their light
@@ -75,7 +80,7 @@ def borders(
     centre lies in shadow. The surface's light is taken from pixels near by that touch no shadow themselves.
     """
     shade = dark.astype(np.uint8)
-    weak = (levels < STRAY * least) & ~dark
+    weak = (levels < STRAY * least) & ~dark & ~nothing
     if weak.any():
         _, parts = cv2.connectedComponents(weak.astype(np.uint8))
         at = np.flatnonzero(weak)
@@ -84,8 +89,8 @@ def borders(
         touching[part[_neighbours(shade).reshape(-1)[at] > 0]] = True
         shade.reshape(-1)[at] = touching[part]
     beside = _neighbours(shade)
-    edge = np.nonzero((beside >= NEIGHBOURS) & (shade == 0))
-    lit = _light_near(levels, (beside == 0) & (shade == 0), *edge)
+    edge = np.nonzero((beside >= NEIGHBOURS) & (shade == 0) & ~nothing)
+    lit = _light_near(levels, (beside == 0) & (shade == 0) & ~nothing, *edge)
     shade[edge] |= levels[edge] < HALF * lit
     return np.asarray((shade > 0) & ~dark)
 
