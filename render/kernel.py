@@ -124,7 +124,9 @@ class Pass:
         places = most
         optics = (self.camera, *(light.optics for light in self.lights))
         if all(device.lens is None for device in optics):
-            few = max(min(samples, FEWEST_PLACES), samples // FEW_PLACES_OF)
+            few = max(FEWEST_PLACES, samples // FEW_PLACES_OF)
+            # One without its opposite would shift the phase of direct light.
+            few = min(samples, few + few % 2)
             busy = dr.gather(mi.Bool, self.guide.busy, tile)
             places = dr.select(busy, most, dr.opaque(mi.UInt32, few))
         share = dr.gather(mi.Float, self.guide.share, tile)
