@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from scipy.linalg import hadamard
 from scipy.stats import norm
 
+from render.tracer import build
 from render.tracer import trace as one_pass
 from render.transport import PhaseError, Transport
 from scenes.basis import Basis, basis
@@ -108,7 +109,7 @@ def trace(
     def one(number: int, paths: int, told: Callable[[float], None] | None) -> Transport:
         # Drawn at random, not counted up: neighbouring seeds of a hash or a generator need not be independent.
         own = np.random.SeedSequence(int(seed), spawn_key=(number,)).generate_state(1, np.uint32)
-        return one_pass(scene, int(own[0]), paths, depth, footprint, told)
+        return one_pass(scene, int(own[0]), paths, depth, footprint, told, built)
 
     width, height = scene.camera.resolution
     bases = [basis(scene.patterns, p, p.resolution) for p in scene.projectors]
@@ -118,6 +119,7 @@ def trace(
         f"averaging passes of {width} x {height} pixels of {images} channels",
         "lower camera.resolution, or trace fewer periods or axes at a time",
     ):
+        built = build(scene)
         watch = _watches(scene.patterns, bases, width * height, int(seed))
         return _refined(one, watch, target, (size, most), progress, int(seed))
 

@@ -125,8 +125,8 @@ def survey(
     # A look says nothing about the table it made itself: its part of the blur, 1/16, is left out.
     others = np.maximum(table - 16 * light, 0) / np.maximum(whole, 1e-30)[:, None] / SOLID_ANGLE
     sent = _sent(seen)
-    plain = _spread(seen, seen.likely)
-    mixed = _spread(seen, AIMED / GROUP * others + (1 - AIMED / GROUP) * seen.likely)
+    plain = _spread(seen, seen.likely, sent)
+    mixed = _spread(seen, AIMED / GROUP * others + (1 - AIMED / GROUP) * seen.likely, sent)
     aimed = (whole > 0) & ~odd & (mixed < WORTH * plain) & (plain > QUIET * sent**2)
     # Noise of the phase: indirect light over direct light.
     dark = np.maximum(mean, 0.05 * _mean_of_some(mean) + 1e-30)
@@ -235,12 +235,12 @@ def _sent(seen: _Seen) -> NDArray[np.float64]:
     return sent
 
 
-def _spread(seen: _Seen, density: Floats) -> NDArray[np.float64]:
-    """(tile,): variance of one path drawn with that density, (tile, cell)."""
+def _spread(seen: _Seen, density: Floats, sent: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(tile,): variance of one path drawn with that density, (tile, cell); `sent` is its mean."""
     light = seen.value * seen.back
     square = np.divide(light * light, density, out=np.zeros_like(light), where=density > 0)
     spread: NDArray[np.float64] = np.maximum(
-        square.sum(axis=1, dtype=np.float64) * SOLID_ANGLE - _sent(seen) ** 2, 0
+        square.sum(axis=1, dtype=np.float64) * SOLID_ANGLE - sent**2, 0
     )
     return spread
 

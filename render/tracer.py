@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,23 @@ TILE_S = 1.0
 FIRST_TILE_PATHS = 1 << 21
 
 
+@dataclass(frozen=True)
+class Built:
+    """A scene's surfaces, ready to be traced."""
+
+    mi_scene: Any
+    ids: Sequence[int]
+    """Of each part's label, from 1."""
+
+
+def build(scene: Scene) -> Built:
+    """Make the meshes and Mitsuba's scene of them: for small images the costliest step of a pass."""
+    use()
+    surfaces = parts(scene)
+    ids = tuple(scene.labels.index(surface.label) + 1 for surface in surfaces)
+    return Built(mi.load_dict(geometry(surfaces)), ids)
+
+
 def trace(
     scene: Scene,
     seed: int = 0,
@@ -36,6 +54,7 @@ def trace(
     depth: int | None = None,
     footprint: float = 1.0,
     progress: Callable[[float], None] | None = None,
+    built: Built | None = None,
 ) -> Transport:
     """Trace the scene's light transport once, for all its patterns.
 
@@ -47,6 +66,7 @@ def trace(
 
     The same seed gives the same bits on one machine. `footprint` narrows the pixels about their centres, 0 to points:
     to see what their width costs. `progress` is called every second or so with the share that is done.
+    `built` is what `build` made of the same scene, for those who trace it several times.
 
     Raises `RenderError` for impossible `samples`, `depth`, `seed` or `footprint`, and for light beyond float32,
     `TooLargeError` for more pixels and channels than memory holds.
@@ -74,11 +94,20 @@ def trace(
         f"tracing {width} x {height} pixels of {images} channels (2 x projectors x channels + 1)",
         "lower camera.resolution, or trace fewer periods or axes at a time",
     ):
-        return _traced(scene, bases, tiles, (samples, depth, footprint), seed, progress)
+        return _traced(
+            scene,
+            built or build(scene),
+            bases,
+            tiles,
+            (samples, depth, footprint),
+            seed,
+            progress,
+        )
 
 
 def _traced(
     scene: Scene,
+    built: Built,
     bases: tuple[Basis, ...],
     tiles: Tiles,
     paths: tuple[int, int, float],
@@ -86,8 +115,7 @@ def _traced(
     progress: Callable[[float], None] | None,
 ) -> Transport:
     samples, depth, footprint = paths
-    surfaces = parts(scene)
-    mi_scene = mi.load_dict(geometry(surfaces))
+    mi_scene = built.mi_scene
     camera = optics(scene.camera)
     lights = [Light(p, optics(p), b.channels) for p, b in zip(scene.projectors, bases, strict=True)]
     glow = scene.ambient.radiance_w_m2_sr
@@ -133,8 +161,7 @@ def _traced(
                 )
         faster = TILE_S / max(time.perf_counter() - start, 1e-3)
         rows = min(most, max(1, int(rows * min(faster, 4.0))))
-    ids = [scene.labels.index(surface.label) + 1 for surface in surfaces]
-    label = _labels(mi_scene, camera, ids, (height, width))
+    label = _labels(mi_scene, camera, built.ids, (height, width))
     return Transport(
         total, direct, ambient, label, scene.labels, bases, scene, seed, samples, depth
     )
