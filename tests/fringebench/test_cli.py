@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import scenes
+from tests.evaluation.test_score import REGION_KEYS
 
 SMALL = ["--set", "camera.resolution=[64,48]", "--set", "sampling.samples=4"]
 Call = Callable[..., tuple[int, str, str]]
@@ -50,22 +51,9 @@ def test_the_stages_one_by_one_give_what_run_gives(call: Call, tmp_path: Path) -
 
 def test_scores_json_keeps_its_contract(call: Call, tmp_path: Path) -> None:
     score = json.loads(call("run", "bench", "--json", "-o", tmp_path, *SMALL)[1])
-    keys = [
-        "pixels",
-        "coverage",
-        "bias_mm",
-        "rms_mm",
-        "sd_mm",
-        "median_abs_mm",
-        "p95_abs_mm",
-        "max_abs_mm",
-        "outlier_fraction",
-        "flagged_fraction",
-        "predicted_sd_mm",
-    ]
     assert score["scene"] == "bench"
     assert set(score["regions"]) == {"base", "cap", "step", "ink", "solder"}
-    assert all(set(keys) <= set(region) for region in score["regions"].values())
+    assert all(set(REGION_KEYS) <= set(region) for region in score["regions"].values())
     assert all(set(f) == {"measured_mm", "truth_mm"} for f in score["features"].values())
 
 
