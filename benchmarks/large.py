@@ -8,10 +8,9 @@ import sys
 from benchmarks.light import Path, scene, seeds, tracing
 from benchmarks.process import python
 from benchmarks.result import Result, Target, main
-from benchmarks.turns import take_turns
+from benchmarks.trace import beside_path
 
 SAMPLES = 16
-SAMPLERS = ("independent", "multijitter")
 TIME = Target("ratio", "at most", 3.0)
 MEMORY = Target("value", "at most", 2.0)
 
@@ -20,24 +19,8 @@ def measure(quick: bool) -> list[Result]:
     """Time beside `path`, and memory."""
     side, rounds = (512, 2) if quick else (2048, 3)
     shown = scene(size=(side, side), samples=SAMPLES)
-    draw = seeds(3)
-    paths = [Path(shown, sampler) for sampler in SAMPLERS]
-    works = [tracing(shown, draw)]
-    works += [one.one_frame(SAMPLES, draw) for one in paths]
-    turns = take_turns(works, rounds)
     note = f"bench, {side} x {side}, {SAMPLES} samples, depth 3"
-    rows = [
-        turns.beside(
-            f"pass, {len(shown.patterns.frames())} frames",
-            f"path, {sampler}, one frame",
-            theirs=1 + i,
-            unit="s",
-            reads="x baseline",
-            target=TIME,
-            note=note,
-        )
-        for i, sampler in enumerate(SAMPLERS)
-    ]
+    rows = beside_path(shown, 3, rounds, TIME, note)
     ours, theirs = (
         python("-m", "benchmarks.large", "--alone", what, str(side)).peak_mb / 1000
         for what in ("pass", "path")

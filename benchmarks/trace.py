@@ -5,6 +5,7 @@ careful user would consider. The pass's time includes tessellating the objects a
 scene already built.
 """
 
+import scenes
 from benchmarks.light import Path, scene, seeds, tracing
 from benchmarks.result import Result, Target, main
 from benchmarks.turns import take_turns
@@ -16,22 +17,28 @@ TARGET = Target("ratio", "at most", 1.6)
 def measure(quick: bool) -> list[Result]:
     """The pass beside `path` with each sampler."""
     size, samples, rounds = ((320, 240), 16, 3) if quick else ((640, 480), 64, 7)
-    shown = scene(size=size, samples=samples)
-    draw = seeds(1)
+    note = f"bench, {size[0]} x {size[1]}, {samples} samples, depth 3; {rounds} rounds"
+    return beside_path(scene(size=size, samples=samples), 1, rounds, TARGET, note)
+
+
+def beside_path(
+    shown: scenes.Scene, seed: int, rounds: int, target: Target, note: str
+) -> list[Result]:
+    """A pass for all frames in turns with one frame by `path`, with each sampler."""
+    samples, draw = shown.sampling.samples, seeds(seed)
     paths = [Path(shown, sampler) for sampler in SAMPLERS]
     works = [tracing(shown, draw)]
     works += [one.one_frame(samples, draw) for one in paths]
     turns = take_turns(works, rounds)
-    frames = len(shown.patterns.frames())
     return [
         turns.beside(
-            f"pass, {frames} frames",
+            f"pass, {len(shown.patterns.frames())} frames",
             f"path, {sampler}, one frame",
             theirs=1 + i,
             unit="s",
             reads="x baseline",
-            target=TARGET,
-            note=f"bench, {size[0]} x {size[1]}, {samples} samples, depth 3; {rounds} rounds",
+            target=target,
+            note=note,
         )
         for i, sampler in enumerate(SAMPLERS)
     ]
