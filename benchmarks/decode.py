@@ -123,7 +123,7 @@ def _measured(
 
 
 def written_bytes(rec: decode.Reconstruction) -> int:
-    """Bytes of every image of a result."""
+    """Bytes of every image of a result; one that is a single number costs nothing."""
     images: list[NDArray[Any]] = [
         rec.height_mm,
         rec.sigma_mm,
@@ -134,7 +134,7 @@ def written_bytes(rec: decode.Reconstruction) -> int:
     ]
     for phase in rec.phases.values():
         images += [phase.wrapped_rad, phase.order]
-    return sum(image.nbytes for image in images)
+    return sum(image.nbytes for image in images if any(image.strides))
 
 
 def measure(quick: bool) -> list[Result]:

@@ -123,6 +123,29 @@ class Rig:
         focal, centre = map(n, self._intrinsics(axis))
         return self.arithmetic.fma(xd, focal, centre), dxd * focal
 
+    @property
+    def distorts(self) -> bool:
+        """Whether either lens bends straight lines."""
+        return any(self.camera.distortion) or any(self.projector.distortion)
+
+    def coordinate_on_plane(
+        self, column_px: Real, row_px: Real, height_mm: float, axis: Axis
+    ) -> Real:
+        """Projector coordinate along `axis` that the plane ``z = height_mm`` shows to camera pixels, px.
+
+        A homography (Hartley & Zisserman 2004, section 2.3), so for a rig that does not distort: half the work of a ray.
+        """
+        columns = _from_plane(self.camera, height_mm).T
+        # the adjugate: an inverse up to its scale, which exists whatever the plane
+        onto_plane = np.cross(np.roll(columns, -1, axis=0), np.roll(columns, -2, axis=0))
+        matrix = _from_plane(self.projector, height_mm) @ onto_plane
+        matrix = matrix[[0 if axis == "column" else 1, 2]] / np.abs(matrix).max()
+        fma = self.arithmetic.fma
+        over, under = (
+            fma(a, column_px, fma(b, row_px, c)) for a, b, c in map(self._numbers, matrix)
+        )
+        return over * self.arithmetic.invert(under)
+
     def meet(self, ray: Ray, coordinate_px: Real, axis: Axis) -> tuple[Real, Real]:
         """Ray parameter t where the ray meets the fringe, and d t / d coordinate there, per px.
 
@@ -180,6 +203,15 @@ class Rig:
             fma(a[1], x, fma(b[1], y, c[1])),
             fma(a[2], x, fma(b[2], y, c[2])),
         )
+
+
+def _from_plane(device: Projection, height_mm: float) -> NDArray[np.float64]:
+    """Matrix (3, 3) from ``(X, Y, 1)`` in the plane ``z = height_mm`` to homogeneous pixels."""
+    pose = np.column_stack([device.R[:, :2], height_mm * device.R[:, 2] + device.t])
+    if device.telecentric:
+        pose[2] = 0.0, 0.0, 1.0
+    lens = np.array([[device.fx, 0.0, device.cx], [0.0, device.fy, device.cy], [0.0, 0.0, 1.0]])
+    return np.asarray(lens @ pose)
 
 
 def _inside(projector: Projection, points_mm: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -10,13 +10,14 @@
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from decode.device import Device, Lanes, padded
-from decode.geometry import Arithmetic, Rig, View
+from decode.geometry import Arithmetic, Ray, Rig, View
 from scenes.errors import DecodeError
 from scenes.patterns import Axis
 
@@ -139,8 +140,11 @@ class Triangulation(HeightModel):
 
 class _Triangulated(Solver):
     def __init__(self, rig: Rig, axis: Axis, column_px: Lanes, row_px: Lanes) -> None:
-        self.rig, self.axis = rig, axis
-        self.ray = rig.ray(column_px, row_px)
+        self.rig, self.axis, self.centres = rig, axis, (column_px, row_px)
+
+    @cached_property
+    def ray(self) -> Ray:
+        return self.rig.ray(*self.centres)
 
     def height(self, coordinate_px: Lanes) -> tuple[Lanes, Lanes]:
         t, slope = self.rig.meet(self.ray, coordinate_px, self.axis)
@@ -151,6 +155,8 @@ class _Triangulated(Solver):
         )
 
     def coordinate(self, height_mm: float) -> Lanes:
+        if not self.rig.distorts:
+            return self.rig.coordinate_on_plane(*self.centres, height_mm, self.axis)
         number, invert = self.rig.arithmetic.number, self.rig.arithmetic.invert
         way = number(height_mm) - self.ray.world_origin[2]
         at = way * invert(self.ray.world_direction[2])

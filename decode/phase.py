@@ -105,26 +105,38 @@ def solution(fringes: FringeSet) -> NDArray[np.float64]:
 def variance_rad2(
     fringes: FringeSet, cosine: Lanes, sine: Lanes, variance_dn2: Lanes, slope: float
 ) -> Lanes:
-    """Predicted variance of the phase of a least-squares phasor, to first order.
+    """Predicted variance of the phase of a least-squares phasor, to first order: `across_dn2` over B^2.
 
-    `variance_dn2` is the samples' mean variance, `slope` how it grows with the digital number. For equal steps this is
-    ``2 sigma^2 / (N B^2)``; with N = 3 the slope adds ``-slope cos(3 phi) / (3 B)``, for then the bright steps' noise does
-    not average out.
+    For equal steps this is ``2 sigma^2 / (N B^2)``; with N = 3 the slope adds ``-slope cos(3 phi) / (3 B)``, for then the
+    bright steps' noise does not average out.
+    """
+    across = across_dn2(fringes, cosine, sine, variance_dn2, slope)
+    return across * _inverse(cosine * cosine + sine * sine)
+
+
+def across_dn2(
+    fringes: FringeSet, cosine: Lanes, sine: Lanes, variance_dn2: Lanes, slope: float
+) -> Lanes:
+    """Predicted variance of a least-squares phasor across its own direction, which is what turns its phase.
+
+    `variance_dn2` is the samples' mean variance, `slope` how it grows with the digital number.
     """
     even, odd = _variance_terms(fringes, slope)
-    power2 = cosine * cosine + sine * sine
-    # the reciprocal by multiplication: see `Device.root`
-    import drjit as dr  # not before `Device.open` has told it where LLVM is
-
-    root = dr.rsqrt(power2)
-    inverse = root * root
     tilted = any(abs(c) > NEGLIGIBLE for c in odd.values())
     if not tilted and abs(even[2, 0] - even[0, 2]) < NEGLIGIBLE and abs(even[1, 1]) < NEGLIGIBLE:
-        return variance_dn2 * (even[2, 0] * inverse)
+        return variance_dn2 * even[2, 0]
     total = variance_dn2 * _polynomial(even, cosine, sine)
     if tilted:
         total = total + _polynomial(odd, cosine, sine)
-    return total * inverse * inverse
+    return total * _inverse(cosine * cosine + sine * sine)
+
+
+def _inverse(power2: Lanes) -> Lanes:
+    """Reciprocal by multiplication: see `Device.root`."""
+    import drjit as dr  # not before `Device.open` has told it where LLVM is
+
+    root = dr.rsqrt(power2)
+    return root * root
 
 
 @lru_cache(maxsize=256)

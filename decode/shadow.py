@@ -43,8 +43,7 @@ def level(samples: Samples) -> Lanes:
     for exposure, time_ms in enumerate(samples.exposure_ms):
         phasor = samples.phasor(exposure)
         power = phasor.cosine * phasor.cosine + phasor.sine * phasor.sine
-        # sigma_B = B sigma_phi, which is no number where all steps are clipped alike
-        sure = root(power) * (1.0 - SURE * root(phasor.variance_rad2))
+        sure = root(power) - SURE * root(samples.modulation_variance_dn2(exposure))
         # an argument of the kernel: another exposure time does not compile another kernel
         per_ms = dr.opaque(samples.device.types.Float, 1.0 / time_ms)
         scaled = dr.select(power > 0.0, sure * per_ms, 0.0)

@@ -48,6 +48,18 @@ def test_triangulation_loses_nothing_on_any_rig_and_axis(name: str, axis: Axis) 
     assert rec.row_px is not None and np.abs(rec.row_px - row).max() < scale
 
 
+@pytest.mark.parametrize("height_mm", [-1.0, 0.0, 1.7])
+@pytest.mark.parametrize("name", [name for name in RIGS if "lenses" not in name])
+def test_orders_are_looked_for_where_the_rays_meet_the_plane(name: str, height_mm: float) -> None:
+    rigid = View(RIGS[name], 0).rig
+    pixels = View(RIGS[name], 0).grid()
+    ray = rigid.ray(*pixels)
+    for axis in ("column", "row"):
+        met = rigid.coordinate(ray, ray.t_at(height_mm), axis)[0]
+        # float64, through a matrix product and an inverse: a thousand roundings of a thousand pixels
+        assert np.abs(rigid.coordinate_on_plane(*pixels, height_mm, axis) - met).max() < 1e-9
+
+
 @pytest.mark.parametrize("name", RIGS)
 def test_points_lie_on_the_surface_and_on_the_camera_rays(name: str) -> None:
     calibration, truth = RIGS[name], hills()

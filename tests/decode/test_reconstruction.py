@@ -55,6 +55,18 @@ def test_a_file_gives_back_every_value(rec: decode.Reconstruction, tmp_path: Pat
     assert set(rec.reason_fractions()) == {"ok", "out-of-volume"}
 
 
+def test_images_of_one_number_take_no_memory_and_are_files_like_others(tmp_path: Path) -> None:
+    stack = calibrated_stack(rig(), hills(), PhaseShift(periods_px=(16.0, 80.0)))
+    phases = decode.reconstruct(stack, height="phase")
+    # a single exposure, and no heights: one number each, which must not be written out pixel by pixel
+    for name in ("exposure", "height_mm"):
+        image = getattr(phases, name)
+        assert image.shape == (48, 64) and image.strides == (0, 0)
+    phases.write(tmp_path / "rec.exr")
+    same(phases, decode.Reconstruction.read(tmp_path / "rec.exr"))
+    same(phases, pickle.loads(pickle.dumps(phases)))
+
+
 def test_a_process_can_hand_it_to_another(rec: decode.Reconstruction) -> None:
     same(rec, pickle.loads(pickle.dumps(rec)))
 
