@@ -148,6 +148,7 @@ def eight_bits(sensor: scenes.Sensor) -> scenes.Sensor:
 
 
 def _middle(stack: Stack) -> Stack:
+    """The middle exposure; of an even number the shorter, for outside decoders take clipped samples as they are."""
     at = int(np.argsort(stack.exposure_ms)[(len(stack.exposure_ms) - 1) // 2])
     return replace(
         stack, frames=stack.frames[at : at + 1], exposure_ms=stack.exposure_ms[at : at + 1]
