@@ -2,6 +2,7 @@
 
 import tomllib
 from collections.abc import Iterator
+from functools import lru_cache
 from typing import Any
 
 Location = tuple[str | int, ...]
@@ -20,8 +21,9 @@ def line_of(text: str, location: Location) -> int | None:
     return next((line for line in found if line is not None), None)
 
 
+@lru_cache(maxsize=1)
 def _lines(text: str) -> dict[Location, int]:
-    """First line of every key and table."""
+    """First line of every key and table; kept, for a text with one mistake often has ten."""
     lines: dict[Location, int] = {}
     counts: dict[Location, int] = {}
     table: Location = ()
