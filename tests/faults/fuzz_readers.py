@@ -6,7 +6,7 @@ Needs atheris (``pip install atheris``; Linux, CPython up to 3.13)::
 
 The first word is a target of `targets.py`, the rest are libFuzzer's options; ``-max_total_time`` is in seconds. Only a
 `FringebenchError` may escape a reader: anything else stops the run and leaves the input as ``crash-*`` in the current
-folder. A hang counts too (``-timeout=20``), and so does memory (``-rss_limit_mb=4096``).
+folder. A hang counts too (``-timeout=60``), and so does memory (``-rss_limit_mb=4096``).
 """
 
 import contextlib
@@ -56,7 +56,7 @@ def main() -> None:
             lambda status, _: os._exit(status)
         )
         ctypes.CDLL(None).on_exit(leave, None)
-        defaults = ["-timeout=20", "-rss_limit_mb=4096", "-max_len=20000"]
+        defaults = ["-timeout=60", "-rss_limit_mb=4096", "-max_len=20000"]
         atheris.Setup(
             [sys.argv[0], *defaults, *sys.argv[1:], str(corpus)], one, custom_mutator=mutated
         )
