@@ -13,9 +13,6 @@ from fringebench.options import AsJson, PhaseError, SceneName, Seed, Settings, S
 from fringebench.overrides import parse_overrides
 from fringebench.progress import Mode, Steps
 
-# Columns the tables need: a narrower terminal wraps them, which loses no figure.
-WIDTH = 120
-
 
 def compare(
     scene: SceneName = "bench",
@@ -49,6 +46,7 @@ def compare(
     from fringebench.comparison_output import tables, write
     from fringebench.light import told
     from fringebench.run import prepare
+    from fringebench.tables import wide_console
 
     if output:
         prepare(output)  # a folder that cannot be is told before the work, not after
@@ -63,9 +61,7 @@ def compare(
     if as_json:
         sys.stdout.write(json.dumps(result.to_dict(), indent=2, allow_nan=False) + "\n")
         return
-    console = Console(highlight=False)
-    if console.width < WIDTH:
-        console = Console(highlight=False, width=WIDTH)
+    console = wide_console()
     for table in tables(result):
         console.print(table)
     for name, budget, reason in result.left_out:

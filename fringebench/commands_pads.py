@@ -41,6 +41,7 @@ def pads(
     loaded = scenes.load(scene, parse_overrides(settings, phase_error))
     from fringebench.pads import gauge as study
     from fringebench.pads import inspect, pad_budget
+    from fringebench.tables import wide_console
 
     steps = Steps(Console(stderr=True), progress)
     answer: dict[str, Any] = {}
@@ -66,8 +67,9 @@ def pads(
     if as_json:
         sys.stdout.write(json.dumps(answer, indent=2, allow_nan=False) + "\n")
         return
+    console = wide_console()
     for table in tables:
-        Console().print(table)
+        console.print(table)
 
 
 def _errors(rows: dict[str, Any], title: str) -> Table:

@@ -3,6 +3,7 @@
 import math
 from typing import TYPE_CHECKING
 
+from rich.console import Console
 from rich.table import Table
 
 import evaluation
@@ -11,6 +12,16 @@ from fringebench.doctor import Diagnosis
 
 if TYPE_CHECKING:
     from fringebench.chapter import ChapterResult
+
+
+# Columns the widest tables need: a narrower terminal wraps them, which loses no figure; rich would cut figures short.
+WIDEST = 120
+
+
+def wide_console() -> Console:
+    """Standard output for tables of many figures."""
+    console = Console(highlight=False)
+    return console if console.width >= WIDEST else Console(highlight=False, width=WIDEST)
 
 
 def fused_title(exposures: int, fusion: str) -> str:

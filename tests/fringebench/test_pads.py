@@ -84,9 +84,13 @@ def test_the_command_prints_what_it_measured(
     assert answer["errors"] == asdict(found.errors)
     assert [pad["pad"] for pad in answer["pads"]] == [1, 2, 3, 4]
     assert answer["confusion"] == json.loads(json.dumps(found.confusion.to_dict()))
-    monkeypatch.setattr(sys, "argv", ["fringebench", "pads", path])
+    monkeypatch.setattr(sys, "argv", ["fringebench", "pads", path, "--budget"])
+    monkeypatch.setenv("COLUMNS", "60")
     main_status(0)
-    assert "accept or reject" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "accept or reject" in printed and "metal, interreflection" in printed
+    # as rich shortens what does not fit: a figure cut short is a wrong one
+    assert "…" not in printed
 
 
 def main_status(expected: int) -> None:
