@@ -44,6 +44,8 @@ def budget(
     """
     if repeats < 1:
         raise FringebenchError(f"repeats = {repeats}: needs 1 or more")
+    # What cannot be decoded with is told before light is traced, not after.
+    decode.Options.of(choices).rule()
     steps = steps or Steps()
     causes = [cause for cause in CAUSES if _has(scene, cause)]
     lights: dict[Causes, render.Transport] = {}

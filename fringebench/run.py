@@ -1,6 +1,6 @@
 """The whole way: a scene becomes light, a stack, heights, and a score; every step leaves its file."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,6 +14,16 @@ from fringebench.light import figures
 from fringebench.progress import Steps
 from scenes.errors import FileError
 
+FILES = (
+    "scene.toml",
+    "transport.exr",
+    "truth.exr",
+    "stack.exr",
+    "reconstruction.exr",
+    "scores.json",
+    "cloud.ply",
+    "report.html",
+)
 # The chapter's warning: one exposure, and a mask that only asks for modulation.
 NAIVE = {"fusion": "single", "saturation": "ignore"}
 
@@ -45,16 +55,22 @@ def run(
     """Render, expose, decode and score a scene, writing every file into `folder`.
 
     Files are written beside and renamed one by one: an interrupted run leaves each file either old or new, never half.
+    An earlier run in `folder` is replaced once this one has succeeded; until then it stays as it is.
     Raises `FringebenchError` for whatever the scene or the folder does not allow.
     """
+    # A misspelt rule is told before light is traced, not after.
+    decode.Options(fusion=fusion).rule()
     out = prepare(folder)
     steps = steps or Steps()
     step = steps.step
-    with keeping(out) as keep:
+    with keeping(out, FILES) as keep:
 
         def write(name: str, how: Callable[[Path], None]) -> None:
-            with step("write"):
-                keep(name, how)
+            def timed(path: Path) -> None:
+                with step("write"):
+                    how(path)
+
+            keep(name, timed)
 
         write("scene.toml", lambda path: scenes.save(scene, path))
         with step("trace light") as done:
@@ -97,23 +113,36 @@ def middle_exposure(stack: scenes.Stack) -> scenes.Stack:
 
 
 @contextmanager
-def keeping(folder: Path) -> Iterator[Callable[[str, Callable[[Path], None]], None]]:
+def keeping(
+    folder: Path, files: Collection[str] = ()
+) -> Iterator[Callable[[str, Callable[[Path], None]], None]]:
     """Give a function that writes a file of that name into `folder`; a `KeyboardInterrupt` says which were written.
 
-    Raises `FileError` while another run writes there.
+    Where one of `files` stands already, all are written when the block has succeeded, not before: files of two runs, each
+    whole, would be wrong together. Raises `FileError` while another run writes there.
     """
     written: list[str] = []
+    later: list[tuple[str, Callable[[Path], None]]] = []
 
-    def keep(name: str, write: Callable[[Path], None]) -> None:
+    def put(name: str, write: Callable[[Path], None]) -> None:
         write(folder / name)
         written.append(name)
 
     try:
         with alone(folder):
-            yield keep
+            earlier = any((folder / name).exists() for name in files)
+            yield (lambda name, write: later.append((name, write))) if earlier else put
+            for name, write in later:
+                put(name, write)
     except KeyboardInterrupt:
-        files = ", ".join(written) or "nothing new"
-        raise KeyboardInterrupt(f"whole and kept in {folder}: {files}") from None
+        kept = ", ".join(written) or "nothing new"
+        raise KeyboardInterrupt(f"whole and kept in {folder}: {kept}") from None
+    except FileError as error:
+        if not later or not written:
+            raise
+        raise FileError(
+            f"{error}; {', '.join(written)} in '{folder}' are this run's, the rest an earlier one's: run again"
+        ) from error
 
 
 def prepare(folder: str | Path) -> Path:
