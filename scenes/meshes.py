@@ -5,12 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from trimesh.triangles import area
 
 from scenes.board_meshes import Body, bodies
 from scenes.errors import MeshError
 from scenes.materials import Material, material
 from scenes.rig import FARTHEST_MM
 from scenes.scene import Object, Scene
+
+# Triangles looked at together.
+BLOCK = 1 << 10
 
 
 @dataclass(frozen=True)
@@ -84,32 +88,36 @@ def _placed(item: Object) -> trimesh.Trimesh:
 def _check(mesh: trimesh.Trimesh, label: str) -> None:
     if not len(mesh.faces):
         raise MeshError(f"the mesh of '{label}' has no triangles: give it at least one")
-    if mesh.vertices.shape[1:] != (3,) or mesh.faces.shape[1:] != (3,):
+    # Plain arrays: trimesh hashes its own anew at every look.
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,):
         raise MeshError(
-            f"the mesh of '{label}' has vertices {mesh.vertices.shape} and faces {mesh.faces.shape}: expected three "
+            f"the mesh of '{label}' has vertices {vertices.shape} and faces {faces.shape}: expected three "
             "coordinates and three corners each; export it again"
         )
-    count = len(mesh.vertices)
-    lost = ((mesh.faces < 0) | (mesh.faces >= count)).any(axis=1)
-    if lost.any():
+    count = len(vertices)
+    if faces.min() < 0 or faces.max() >= count:
+        lost = ((faces < 0) | (faces >= count)).any(axis=1)
         face = int(np.flatnonzero(lost)[0])
         raise MeshError(
             f"the mesh of '{label}' has {int(lost.sum())} triangles with corners that do not exist (first: triangle "
-            f"{face}, {mesh.faces[face].tolist()} of {count} vertices): the file is damaged, export it again"
+            f"{face}, {faces[face].tolist()} of {count} vertices): the file is damaged, export it again"
         )
-    bad = ~np.isfinite(mesh.vertices).all(axis=1)
+    bad = ~np.isfinite(vertices).all(axis=1)
     if bad.any():
         raise MeshError(
             f"the mesh of '{label}' has {int(bad.sum())} vertices that are NaN or infinite "
             f"(first: vertex {int(np.flatnonzero(bad)[0])}): repair or remove them"
         )
     _check_reach(mesh, label)
-    if not np.any(mesh.area_faces > 0):
+    # The first triangle nearly always tells.
+    starts = range(0, len(faces), BLOCK)
+    if not any((area(vertices[faces[at : at + BLOCK]]) > 0).any() for at in starts):
         raise MeshError(f"every triangle of '{label}' has zero area: check its scale and vertices")
 
 
 def _check_reach(mesh: trimesh.Trimesh, label: str) -> None:
-    farthest = float(np.abs(mesh.vertices).max())
+    farthest = float(np.abs(np.asarray(mesh.vertices)).max())
     if farthest > FARTHEST_MM:
         raise MeshError(
             f"the mesh of '{label}' reaches to {farthest:.3g} mm: keep it within {FARTHEST_MM:.0e} mm, beyond which "

@@ -20,6 +20,8 @@ from scenes.paths import is_file, missing
 
 Size = tuple[PositiveFloat, PositiveFloat]
 Segments = Annotated[int, Field(ge=8, le=4096)]
+# Radii closer than this are one.
+SAME_MM = 1e-9
 
 
 class Hole(Frozen):
@@ -135,28 +137,22 @@ class Cap(Frozen):
         inner, outer = self.between_mm or (0.0, self.radius_mm)
         radii = np.linspace(0.0, self.radius_mm, self.rings + 1)
         radii = np.concatenate([[inner], radii[(radii > inner) & (radii < outer)], [outer]])
-        circle = _circle(1.0, self.segments)
-        points = radii[:, None, None] * circle
+        # A ring's own radii may meet the cap's, but for rounding.
+        radii = radii[np.diff(radii, prepend=-np.inf) > SAME_MM]
+        points = radii[:, None, None] * _circle(1.0, self.segments)
         heights = np.broadcast_to(self.height_at(radii)[:, None], points.shape[:2])
         vertices = np.concatenate([points, heights[..., None]], axis=-1).reshape(-1, 3)
-        ring, spoke = np.meshgrid(
-            np.arange(len(radii) - 1), np.arange(self.segments), indexing="ij"
-        )
-        a = ring * self.segments + spoke
-        b = ring * self.segments + (spoke + 1) % self.segments
-        c, d = a + self.segments, b + self.segments
-        faces = np.concatenate(
-            [
-                np.stack([a, c, d], axis=-1).reshape(-1, 3),
-                np.stack([a, d, b], axis=-1).reshape(-1, 3),
-            ]
-        )
-        # Merging collapses the innermost circle of a full cap to its apex; the triangles that lose their area go.
-        mesh = trimesh.Trimesh(vertices, faces, process=False)
-        mesh.merge_vertices(digits_vertex=9)
-        mesh.update_faces(mesh.nondegenerate_faces(height=1e-12))
-        mesh.remove_unreferenced_vertices()
-        return mesh
+        number = np.arange(len(vertices)).reshape(points.shape[:2])
+        apex = inner < SAME_MM
+        if apex:
+            # The innermost circle is one vertex.
+            vertices = np.delete(vertices, np.s_[1 : self.segments], axis=0)
+            number = np.maximum(number - (self.segments - 1), 0)
+        a, c = number[:-1], number[1:]
+        b, d = np.roll(a, -1, axis=1), np.roll(c, -1, axis=1)
+        towards, back = np.stack([a, c, d], axis=-1), np.stack([a, d, b], axis=-1)[int(apex) :]
+        faces = np.concatenate([towards.reshape(-1, 3), back.reshape(-1, 3)])
+        return trimesh.Trimesh(vertices, faces, process=False)
 
 
 class Tiles(Frozen):
