@@ -24,6 +24,16 @@ Overrides = Mapping[str, Any]
 
 # Errors of a scene that are told at once.
 MOST_TOLD = 10
+# pydantic's names of errors in the key that says which kind a table is.
+UNION_TAG = ("union_tag_invalid", "union_tag_not_found")
+# Python's and pydantic's words for what TOML calls otherwise.
+PLAIN_WORDS = {
+    "valid tuple": "list",
+    "Tuple should": "The list should",
+    " after validation": "",
+    "valid dictionary or object to extract fields from": "table",
+    "valid dictionary": "table",
+}
 # pydantic's names of errors that no other value of that type would mend.
 WRONG_TYPE = re.compile(r"_type$|_parsing$|^int_from_float$")
 
@@ -74,6 +84,10 @@ def parse(
         tree = parse_toml(text)
     except ValueError as error:
         raise SceneError(f"{where}: not valid TOML: {error}") from error
+    if not isinstance(overrides, Mapping | None):
+        raise SceneError(
+            f"overrides = {overrides!r}: give a dict of dotted keys, e.g. {{'camera.resolution': [320, 240]}}"
+        )
     for key, value in (overrides or {}).items():
         _set(tree, key, value)
     items = tree.get("objects") if folder else None
@@ -90,7 +104,7 @@ def parse(
     except ValidationError as error:
         inner = _innermost(error)
         told = [
-            f"{where}{_line(text, _in_tree(d['loc'], tree), given)}: {_message(d, tree)}"
+            f"{where}{_line(text, _in_tree(d, tree), given)}: {_message(d, tree)}"
             for d in inner[:MOST_TOLD]
         ]
         if len(inner) > MOST_TOLD:
@@ -189,7 +203,7 @@ def _index(node: list[Any], key: str, what: str) -> int:
 
 def _message(detail: ErrorDetails, tree: dict[str, Any]) -> str:
     """One validation error in the project's words: key, value, what is allowed."""
-    location = _written(detail["loc"], tree)
+    location = ".".join(map(str, _in_tree(detail, tree))) or "scene"
     if detail["type"] == "extra_forbidden":
         unknown, known = str(detail["loc"][-1]), set(_known_keys(detail["loc"]))
         if unknown in known:
@@ -197,51 +211,72 @@ def _message(detail: ErrorDetails, tree: dict[str, Any]) -> str:
         return f"unknown key '{location}': {nearest(unknown, known)}"
     if detail["type"] == "missing":
         return f"key '{location}' is missing: it is required"
-    message = detail["msg"].removeprefix("Value error, ")
     value = detail["input"]
+    if detail["type"] in UNION_TAG:
+        kinds = sorted(set(_kinds(detail["loc"])))
+        if detail["type"] == "union_tag_not_found":
+            return f"key '{location}' is missing: it is required, one of {', '.join(kinds)}"
+        tag = str(detail["ctx"]["tag"])
+        return f"{location}: there is no '{tag}': {nearest(tag, kinds)}"
+    message = detail["msg"].removeprefix("Value error, ")
+    for theirs, ours in PLAIN_WORDS.items():
+        message = message.replace(theirs, ours)
     shown = "" if isinstance(value, (dict, BaseModel)) else f" (got {value!r})"
     return f"{location}: {message}{shown}"
 
 
 def _line(text: str, location: tuple[int | str, ...], given: Iterable[Sequence[str]]) -> str:
-    """``:12``, as editors and terminals follow it; nothing where an override gave the value."""
+    """``:12``, as editors and terminals follow it; nothing where an override gave the value, or a part of it."""
     parts = [str(part) for part in location]
-    if any(parts[: len(key)] == list(key) for key in given):
+    if any(all(a == b for a, b in zip(parts, key, strict=False)) for key in given):
         return ""
     line = line_of(text, location)
     return "" if line is None else f":{line}"
 
 
-def _written(location: tuple[int | str, ...], tree: Any) -> str:
-    """A location as the user wrote it: pydantic adds the names of chosen union branches, which the TOML lacks."""
-    return ".".join(map(str, _in_tree(location, tree))) or "scene"
-
-
-def _in_tree(location: tuple[int | str, ...], tree: Any) -> tuple[int | str, ...]:
+def _in_tree(detail: ErrorDetails, tree: Any) -> tuple[int | str, ...]:
+    """Where an error lies as the user wrote it: pydantic adds the names of chosen union branches, which the TOML lacks."""
+    location = detail["loc"]
     parts = []
     for position, part in enumerate(location):
         if isinstance(tree, list):
             inside = isinstance(part, int) and part < len(tree)
         else:
             inside = isinstance(tree, dict) and part in tree
-        if inside or position == len(location) - 1:
+        named = position == len(location) - 1 and detail["type"] in ("extra_forbidden", "missing")
+        if inside or named:
             parts.append(part)
         if inside:
             tree = tree[part]
+    if detail["type"] in UNION_TAG and isinstance(tree, dict):
+        # pydantic names the table; what is wrong is its kind.
+        parts.append(str(detail["ctx"]["discriminator"]).strip("'"))
     return tuple(parts)
 
 
 def _known_keys(location: tuple[int | str, ...]) -> Iterator[str]:
-    """Keys allowed beside the last part of a location, by walking the JSON schema."""
+    """Keys allowed beside the last part of a location."""
+    for node, root in _nodes(location[:-1]):
+        for option in _options(_resolve(node, root), root):
+            yield from option.get("properties", {})
+
+
+def _kinds(location: tuple[int | str, ...]) -> Iterator[str]:
+    """Kinds (or models) that the table at a location may be of."""
+    for node, root in _nodes(location):
+        for option in [node, *node.get("anyOf", [])]:
+            yield from _resolve(option, root).get("discriminator", {}).get("mapping", {})
+
+
+def _nodes(location: tuple[int | str, ...]) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+    """What the JSON schema says at a location, each beside the schema itself."""
     root = Scene.model_json_schema()
     nodes = [root]
-    for part in location[:-1]:
+    for part in location:
         nodes = [
             child for node in nodes for child in _children(_resolve(node, root), part, root)
         ] or nodes
-    for node in nodes:
-        for option in _options(_resolve(node, root), root):
-            yield from option.get("properties", {})
+    return [(node, root) for node in nodes]
 
 
 def _resolve(node: dict[str, Any], root: dict[str, Any]) -> dict[str, Any]:

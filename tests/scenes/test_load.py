@@ -2,6 +2,7 @@
 
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,7 +58,29 @@ def test_fewer_pixels_keep_the_field_of_view() -> None:
             {"camera.pose": {"R": [[1, 0, 0], [0, 1, 0], [0, 0, 2]], "t_mm": [0, 0, 0]}},
             "no rotation",
         ),
-        ({"camera.pose.origin_mm": [0, 0, 0]}, "coincide"),
+        (
+            {"camera.pose.origin_mm": [0, 0, 0]},
+            "bench: camera.pose: origin_mm and target_mm coincide",
+        ),
+        (
+            {"camera.model": "fisheye"},
+            "bench: camera.model: there is no 'fisheye': known: pinhole, tele",
+        ),
+        (
+            {"sensor.kind": "emva"},
+            "bench: sensor.kind: there is no 'emva': did you mean 'emva1288'?",
+        ),
+        (
+            {"camera": {"resolution": [4, 3]}},
+            "key 'camera.model' is missing: it is required, one of pinhole, telecentric",
+        ),
+        ({"board": {}}, "key 'board.kind' is missing: it is required, one of gerber, parametric"),
+        ({"camera": 3}, "camera: Input should be a table (got 3)"),
+        (
+            {"camera.resolution": "160x120"},
+            "camera.resolution: Input should be a list (got '160x120')",
+        ),
+        ({"camera.resolution": [4, 3, 1]}, "The list should have at most 2 items, not 3"),
         ({"projectors.0.pose": {"origin_mm": [0, 0, 300]}}, "no height can be measured"),
         ({"camera.distortion": [-60, 0, 0, 0, 0]}, "folds over"),
         ({"objects.99.label": "x"}, "use 0 to"),
@@ -72,6 +95,23 @@ def test_a_bad_key_or_value_is_named_with_what_is_allowed(
     with pytest.raises(SceneError) as caught:
         scenes.load("bench", override)
     assert expected in str(caught.value)
+
+
+def test_a_table_with_an_override_in_it_is_told_with_a_line_of_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(scenes.source("bench").replace('kind = "emva1288"', 'kind = "emva"'))
+    line = path.read_text().splitlines().index('kind = "emva"') + 1
+    with pytest.raises(SceneError, match=rf"mine\.toml:{line}: sensor\.kind: there is no 'emva'"):
+        scenes.load(path)
+    with pytest.raises(SceneError, match=r"mine\.toml: camera\.pose: origin_mm and target_mm"):
+        scenes.load(path, {"camera.pose.origin_mm": [0, 0, 0], "sensor.kind": "emva1288"})
+
+
+def test_overrides_that_are_no_dict_raise_something_else() -> None:
+    wrong: Any
+    for wrong in (["camera.fx_px=3"], "camera.fx_px=3", 3):
+        with pytest.raises(SceneError, match="give a dict of dotted keys"):
+            scenes.load("bench", wrong)
 
 
 def test_an_unknown_scene_names_the_nearest() -> None:
