@@ -14,6 +14,7 @@ from decode.validity import Reason
 from scenes import exr
 from scenes.calibration import Calibration
 from scenes.errors import DecodeError, FileError
+from scenes.frozen import in_words
 from scenes.patterns import Axis
 
 KIND = "reconstruction"
@@ -229,7 +230,7 @@ class Reconstruction:
             )
         except (KeyError, TypeError, ValueError, AttributeError, ValidationError) as error:
             raise FileError(
-                f"'{path}': its reconstruction header or channels are damaged: {error}"
+                f"'{path}': its reconstruction header or channels are damaged: {in_words(error)}"
             ) from error
 
 

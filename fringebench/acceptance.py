@@ -232,8 +232,9 @@ def _measure(
             },
         }
     )
-    transport = render.trace(posed, seed=seed)
-    truth = render.truth(posed, transport)
+    surfaces = render.surfaces(posed)
+    transport = render.trace(posed, seed=seed, surfaces=surfaces)
+    truth = render.truth(posed, transport, surfaces)
     rec = decode.reconstruct(render.expose(transport, seed=seed))
     regions = []
     for label in posed.labels:

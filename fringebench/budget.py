@@ -49,6 +49,7 @@ def budget(
     steps = steps or Steps()
     causes = [cause for cause in CAUSES if _has(scene, cause)]
     lights: dict[Causes, render.Transport] = {}
+    surfaces = render.surfaces(scene)
     truth = None
     errors: dict[Causes, Floats] = {}
     times: Sequence[float] = ()
@@ -57,9 +58,9 @@ def budget(
         if optical not in lights:
             name = "trace light with " + (", ".join(sorted(optical)) or "ideal optics")
             with steps.step(name) as done:
-                lights[optical] = _trace(scene, on, seed, done)
+                lights[optical] = _trace(scene, on, seed, done, surfaces)
         if truth is None:  # the first variant has everything on
-            truth = render.truth(scene, lights[optical])
+            truth = render.truth(scene, lights[optical], surfaces)
             times = render.expose(lights[optical], seed=seed).exposure_ms
         with steps.step("decode with " + (", ".join(sorted(on)) or "nothing against it")):
             runs = repeats if "noise" in on else 1
@@ -87,7 +88,9 @@ def _has(scene: scenes.Scene, cause: str) -> bool:
     return True
 
 
-def _trace(scene: scenes.Scene, on: Causes, seed: int, done: Report) -> render.Transport:
+def _trace(
+    scene: scenes.Scene, on: Causes, seed: int, done: Report, surfaces: render.Surfaces
+) -> render.Transport:
     camera, projectors = scene.camera, scene.projectors
     if "defocus" not in on:
         camera = camera.model_copy(update={"lens": None})
@@ -96,7 +99,7 @@ def _trace(scene: scenes.Scene, on: Causes, seed: int, done: Report) -> render.T
         projectors = tuple(p.model_copy(update={"gamma": 1.0, "bits": 0}) for p in projectors)
     changed = scene.model_copy(update={"camera": camera, "projectors": projectors})
     footprint = float("footprint" in on)
-    return render.trace(changed, seed=seed, footprint=footprint, progress=done)
+    return render.trace(changed, seed=seed, footprint=footprint, progress=done, surfaces=surfaces)
 
 
 def _expose(

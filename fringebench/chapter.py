@@ -194,13 +194,13 @@ class _Experiment:
         self.name = name
         scene = scenes.load(name)
         with steps.step(f"trace light: {name}") as done:
-            self.transport = render.trace(scene, seed=seed, progress=done)
+            surfaces = render.surfaces(scene)
+            self.transport = render.trace(scene, seed=seed, progress=done, surfaces=surfaces)
+            self.truth = render.truth(scene, self.transport, surfaces)
         with steps.step(f"{CAPTURES} captures: {name}") as done:
             self._capture(seed, done)
 
     def _capture(self, seed: int, done: Report) -> None:
-        scene = self.transport.scene
-        self.truth = render.truth(scene, self.transport)
         self.stack = render.expose(self.transport, seed=seed)
         stacks = [self.stack]
         # Noise is keyed by its seed; seeds of other runs must not share captures with this one.

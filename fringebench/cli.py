@@ -151,6 +151,7 @@ def render_scene(
 
     steps = _steps(progress)
     with steps.step("trace light") as done:
+        surfaces = render.surfaces(loaded)
         transport = render.trace(
             loaded,
             seed=seed,
@@ -158,11 +159,12 @@ def render_scene(
             depth=depth,
             progress=done,
             phase_error_rad=phase_error,
+            surfaces=surfaces,
         )
         transport.write(output)
     if truth:
         with steps.step("truth"):
-            render.truth(loaded, transport).write(truth)
+            render.truth(loaded, transport, surfaces).write(truth)
     if as_json:
         written = {"transport": str(output), "truth": str(truth) if truth else None}
         traced = {"samples": transport.samples, "depth": transport.depth}

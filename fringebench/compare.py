@@ -100,8 +100,9 @@ class _Bench:
 
     def __init__(self, scene: scenes.Scene, repeats: int, seed: int, progress: Report) -> None:
         self.scene, self.repeats, self.seed = scene, repeats, seed
-        self.transport = render.trace(scene, seed=seed, progress=progress)
-        self.truth = render.truth(scene, self.transport)
+        surfaces = render.surfaces(scene)
+        self.transport = render.trace(scene, seed=seed, progress=progress, surfaces=surfaces)
+        self.truth = render.truth(scene, self.transport, surfaces)
         times_ms = render.expose(self.transport, seed=seed, noise=False).exposure_ms
         if len(times_ms) == 1:
             times_ms = tuple(times_ms[0] * relative for relative in LADDER)

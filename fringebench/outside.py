@@ -105,8 +105,9 @@ def compare(name: str, interpreter: str | None = None, seed: int = 0) -> list[Ro
     scene = scenes.load(
         name, {"camera.resolution": list(SIZE), "patterns": patterns.model_dump(exclude_none=True)}
     )
-    transport = render.trace(scene, seed=seed)
-    truth = render.truth(scene, transport)
+    surfaces = render.surfaces(scene)
+    transport = render.trace(scene, seed=seed, surfaces=surfaces)
+    truth = render.truth(scene, transport, surfaces)
     times = render.expose(transport, noise=False).exposure_ms
     shown: dict[str, Any] = {
         "Gray code": GrayCode(axes=("column", "row"), bits=(10, 10)),

@@ -17,6 +17,7 @@ from fringebench.suite import CASES, Case, fingerprint, suite
 from scenes import Stack
 from scenes.errors import DecoderError, FileError, FringebenchError
 from scenes.foreign_text import parse_json
+from scenes.frozen import in_words
 from scenes.replace_file import replacing
 
 VERSION = 1
@@ -58,7 +59,7 @@ class Baseline:
             }
             return cls(str(tree["decoder"]), str(tree["suite"]), figures)
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-            raise FileError(f"baseline '{path}' cannot be read: {error}") from error
+            raise FileError(f"baseline '{path}' cannot be read: {in_words(error)}") from error
 
 
 @dataclass(frozen=True)

@@ -74,10 +74,11 @@ def run(
 
         write("scene.toml", lambda path: scenes.save(scene, path))
         with step("trace light") as done:
-            transport = render.trace(scene, seed=seed, progress=done)
+            surfaces = render.surfaces(scene)
+            transport = render.trace(scene, seed=seed, progress=done, surfaces=surfaces)
         write("transport.exr", transport.write)
         with step("truth"):
-            truth = render.truth(scene, transport)
+            truth = render.truth(scene, transport, surfaces)
         write("truth.exr", truth.write)
         with step("expose") as done:
             stack = render.expose(transport, seed=seed, progress=done)

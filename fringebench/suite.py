@@ -98,8 +98,9 @@ def suite(names: tuple[str, ...] = CASES, steps: Steps | None = None) -> tuple[C
 def _rendered(name: str) -> Case:
     source, overrides = RENDERED[name]
     scene = scenes.load(source, overrides)
-    transport = render.trace(scene)
-    truth = render.truth(scene, transport)
+    surfaces = render.surfaces(scene)
+    transport = render.trace(scene, surfaces=surfaces)
+    truth = render.truth(scene, transport, surfaces)
     lit = truth.lit
     regions = {label: evaluation.scored(truth, label) for label in truth.labels}
     per_rad = mm_per_rad(scenes.Calibration.of(scene), finest_px(scene))

@@ -12,6 +12,7 @@ from scenes import exr, exr_bands, mapped
 from scenes.basis import Basis, Channel
 from scenes.errors import FileError, RenderError, SceneError
 from scenes.exr_bands import Bands
+from scenes.frozen import in_words
 from scenes.load import dumps, parse
 from scenes.scene import Sampling, Scene
 
@@ -146,7 +147,7 @@ class Transport:
                 )
             except (KeyError, TypeError, ValueError, SceneError) as error:
                 raise FileError(
-                    f"'{path}': its transport header or channels are damaged: {error}"
+                    f"'{path}': its transport header or channels are damaged: {in_words(error)}"
                 ) from error
 
 

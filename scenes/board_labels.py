@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from scenes.defects import DefectClass
 from scenes.distribution import Range
 from scenes.errors import FileError, SceneError
-from scenes.frozen import Frozen
+from scenes.frozen import Frozen, in_words
 from scenes.printing import Deposit, Print, printed
 from scenes.replace_file import replacing
 from scenes.scene import Scene
@@ -87,7 +87,7 @@ class BoardTruth(Frozen):
         try:
             truth = cls.model_validate_json(Path(path).read_text("utf-8"))
         except (OSError, UnicodeDecodeError, ValidationError) as error:
-            raise FileError(f"'{path}' is no board truth: {error}") from error
+            raise FileError(f"'{path}' is no board truth: {in_words(error)}") from error
         if truth.format != FORMAT:
             raise FileError(
                 f"'{path}' has format {truth.format}; this version reads {FORMAT}: write it again"

@@ -1,5 +1,6 @@
 """The base of every validated, immutable part of a scene."""
 
+from collections.abc import Iterator
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -18,26 +19,38 @@ class Frozen(BaseModel):
         try:
             super().__init__(**values)
         except ValidationError as error:
-            raise ImpossibleError(_told(type(self), error)) from None
+            raise ImpossibleError("\n".join(_lines(error, type(self)))) from None
 
     # What validates a whole tree then goes past this method, and keeps each part's place in its own errors.
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
 
 
-def _told(model: type[BaseModel], error: ValidationError) -> str:
-    """One line an error: where, what is wrong, the value."""
-    lines = []
-    for detail in error.errors():
-        place = ".".join([model.__name__, *map(str, detail["loc"])])
+def in_words(error: Exception) -> str:
+    """What an error says: of a validation one line a mistake, without pydantic's own; which key is missing."""
+    if isinstance(error, ValidationError):
+        return "\n".join(_lines(error))
+    return f"{error} is missing" if isinstance(error, KeyError) else str(error)
+
+
+def _lines(
+    error: ValidationError, model: type[BaseModel] | None = None, most: int = 10
+) -> Iterator[str]:
+    """Where, what is wrong, the value."""
+    name = [model.__name__] if model else []
+    for detail in error.errors()[:most]:
+        place = ".".join([*name, *map(str, detail["loc"])])
         if detail["type"] == "extra_forbidden":
             unknown = str(detail["loc"][-1])
-            known = nearest(unknown, model.model_fields) if len(detail["loc"]) == 1 else ""
-            lines.append(f"{place} does not exist" + (f": {known}" if known else ""))
+            known = (
+                nearest(unknown, model.model_fields) if model and len(detail["loc"]) == 1 else ""
+            )
+            yield f"{place} does not exist" + (f": {known}" if known else "")
         elif detail["type"] == "missing":
-            lines.append(f"{place} is missing: it is required")
+            yield f"{place} is missing: it is required"
         else:
             message = detail["msg"].removeprefix("Value error, ")
             value = detail["input"]
             shown = "" if isinstance(value, (dict, BaseModel)) else f" (got {value!r})"
-            lines.append(f"{place}: {message}{shown}")
-    return "\n".join(lines)
+            yield f"{place}: {message}{shown}" if place else f"{message}{shown}"
+    if error.error_count() > most:
+        yield f"and {error.error_count() - most} more errors"

@@ -7,12 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PositiveFloat, model_validator
 
+from scenes.errors import ImpossibleError
 from scenes.frozen import Frozen
 
 Axis = Literal["column", "row"]
-
-
 FrameKind = Literal["fringe", "gray", "white", "black"]
+# A phase in float32 needs no more; no projector is a thousandth as wide.
+WIDEST_PX = 1e8
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,23 @@ class Frame:
     projector: int = 0
     kind: FrameKind = "fringe"
     inverted: bool = False
+
+    def __post_init__(self) -> None:
+        """Raises `ImpossibleError` for numbers that no frame has."""
+        uniform = self.kind in ("white", "black")
+        if not (uniform or 0.0 < self.period_px <= WIDEST_PX):
+            raise ImpossibleError(
+                f"a {self.kind} frame's period_px is {self.period_px}: use more than 0, at most {WIDEST_PX:g} px"
+            )
+        if not np.isfinite(self.phase_shift_rad):
+            raise ImpossibleError(
+                f"phase_shift_rad is {self.phase_shift_rad}: give a finite number"
+            )
+        if not 0 <= self.step < self.steps or self.projector < 0:
+            raise ImpossibleError(
+                f"a frame is step {self.step} of {self.steps}, of projector {self.projector}: count steps and "
+                "projectors from 0, steps to one less than their number"
+            )
 
     def commanded(
         self, coordinate_px: NDArray[np.float64], amplitude: float = 1.0
@@ -64,8 +82,7 @@ def flat_frames(projector: int = 0) -> list[Frame]:
 
 
 Bits = Annotated[int, Field(ge=1, le=16)]
-# A phase in float32 needs no more; no projector is a thousandth as wide.
-Period = Annotated[float, Field(gt=0.0, le=1e8)]
+Period = Annotated[float, Field(gt=0.0, le=WIDEST_PX)]
 
 
 class GrayBits(Frozen):

@@ -13,6 +13,7 @@ from scenes import exr_bands, mapped
 from scenes.calibration import Calibration
 from scenes.errors import DecodeError, FileError
 from scenes.exr_bands import Bands
+from scenes.frozen import in_words
 from scenes.patterns import Frame
 from scenes.sensor import Sensor
 
@@ -52,6 +53,10 @@ class Stack:
             raise DecodeError(
                 f"frames have shape {shape} (exposure, frame, row, col), but {len(self.exposure_ms)} exposure "
                 f"times and {len(self.patterns)} patterns are given: make them agree"
+            )
+        if not all(0.0 < time_ms < float("inf") for time_ms in self.exposure_ms):
+            raise DecodeError(
+                f"exposure times are {list(self.exposure_ms)} ms: each must be finite and more than 0"
             )
 
     @property
@@ -107,7 +112,7 @@ class Stack:
                 )
             except (KeyError, TypeError, ValueError, ValidationError, DecodeError) as error:
                 raise FileError(
-                    f"'{path}': its stack header or channels are damaged: {error}"
+                    f"'{path}': its stack header or channels are damaged: {in_words(error)}"
                 ) from error
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from scenes import exr
 from scenes.errors import FileError, ScoreError, nearest
+from scenes.frozen import in_words
 
 KIND = "truth"
 Floats = NDArray[np.float32]
@@ -127,5 +128,5 @@ class Truth:
             )
         except (KeyError, TypeError, ValueError) as error:
             raise FileError(
-                f"'{path}': its truth header or channels are damaged: {error}"
+                f"'{path}': its truth header or channels are damaged: {in_words(error)}"
             ) from error

@@ -5,11 +5,11 @@ import tomllib
 from typing import Annotated, Any, Literal, Self
 
 import tomli_w
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from scenes.errors import DatasetError, ImpossibleError, SceneError
 from scenes.foreign_text import parse_toml
-from scenes.frozen import Frozen
+from scenes.frozen import Frozen, in_words
 from scenes.load import dumps, parse
 from scenes.scene import Scene
 
@@ -65,8 +65,7 @@ class Plan(Frozen):
         try:
             return cls.model_validate(parse_toml(text))
         except ValueError as error:
-            told = _told(error) if isinstance(error, ValidationError) else error
-            raise DatasetError(f"'{where}' is no plan of a data set: {told}") from None
+            raise DatasetError(f"'{where}' is no plan of a data set: {in_words(error)}") from None
 
     def dumps(self) -> str:
         """The plan as TOML."""
@@ -129,10 +128,3 @@ def _differing(old: Any, new: Any, at: str = "") -> list[str]:
         pairs = enumerate(zip(old, new, strict=True))
         return [d for i, (a, b) in pairs for d in _differing(a, b, f"{at}.{i}")]
     return [] if old == new else [at]
-
-
-def _told(error: ValidationError) -> str:
-    first = error.errors()[0]
-    key = ".".join(str(part) for part in first["loc"])
-    told = first["msg"].removeprefix("Value error, ")
-    return f"{key}: {told} (got {first['input']!r})" if key else told

@@ -120,8 +120,9 @@ class _Content:
 
         light, noise = seeds(plan.seed, index)
         drawn = realise(scene, index, plan.seed)
-        transport = render.trace(drawn, seed=light)
-        truth = render.truth(drawn, transport)
+        surfaces = render.surfaces(drawn)
+        transport = render.trace(drawn, seed=light, surfaces=surfaces)
+        truth = render.truth(drawn, transport, surfaces)
         stack = render.expose(transport, seed=noise)
         labels = {
             "format": LABELS_FORMAT,

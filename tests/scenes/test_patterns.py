@@ -1,5 +1,7 @@
 """Patterns, their basis, and the projector's tone response."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,6 +9,7 @@ from hypothesis import strategies as st
 
 from scenes.basis import Basis, basis
 from scenes.emission import TelecentricProjector
+from scenes.errors import SceneError
 from scenes.patterns import PhaseShift
 from scenes.rig import LookAt
 
@@ -95,3 +98,21 @@ def test_four_steps_give_the_chapters_arctangent() -> None:
     np.testing.assert_allclose(
         np.exp(1j * np.arctan2(i3 - i1, i0 - i2)), np.exp(1j * expected), atol=1e-12
     )
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"period_px": 0.0}, "period_px is 0"),
+        ({"period_px": float("nan")}, "period_px is nan"),
+        ({"phase_shift_rad": float("nan")}, "give a finite number"),
+        ({"phase_shift_rad": float("inf")}, "give a finite number"),
+        ({"step": 4}, "step 4 of 4"),
+        ({"step": -1}, "step -1 of 4"),
+        ({"projector": -1}, "projector -1"),
+    ],
+)
+def test_a_frame_that_nothing_shows_is_refused(change: dict[str, float], says: str) -> None:
+    frame = PhaseShift(periods_px=(16.0,)).frames()[1]
+    with pytest.raises(SceneError, match=says):
+        replace(frame, **change)
