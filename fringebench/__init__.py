@@ -37,3 +37,8 @@ def __getattr__(name: str) -> Any:
     if name in _VERBS:
         return getattr(importlib.import_module(_VERBS[name]), name)
     raise AttributeError(f"module 'fringebench' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    """For completion in a shell or an editor."""
+    return sorted({*globals(), *__all__})

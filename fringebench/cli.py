@@ -21,10 +21,11 @@ from fringebench.commands_regress import register as register_regress
 from fringebench.commands_rig import register as register_rig
 from fringebench.commands_view import register as register_view
 from fringebench.options import AsJson, Fusion, PhaseError, SceneName, Seed, Settings, ShowProgress
-from fringebench.overrides import parse_overrides
+from fringebench.overrides import exposed_otherwise, parse_overrides
 from fringebench.progress import Mode, Steps
 from scenes.errors import DecodeError, FringebenchError, FringebenchWarning
 from scenes.paths import as_file_name
+from scenes.replace_file import require_writable
 
 # What a shell reports for a command that Ctrl-C ended.
 INTERRUPTED = 130
@@ -146,6 +147,7 @@ def render_scene(
 ) -> None:
     """Trace a scene's light transport, once, for all its patterns."""
     loaded = scenes.load(scene, parse_overrides(settings, phase_error))
+    require_writable(output, truth)
     import render
     from fringebench.light import figures, told
 
@@ -183,6 +185,14 @@ def expose(
     exposure_ms: Annotated[
         list[float], typer.Option(help="Exposure time; may be repeated. Default: the scene's own.")
     ] = [],  # noqa: B006
+    settings: Annotated[
+        list[str],
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Override a key of sensor, exposures or patterns; may be repeated.",
+        ),
+    ] = [],  # noqa: B006
     seed: Seed = 0,
     progress: ShowProgress = Mode.AUTO,
     as_json: AsJson = False,
@@ -191,8 +201,17 @@ def expose(
     import render
 
     light = render.Transport.read(transport)
+    scene = exposed_otherwise(light.scene, settings)
+    require_writable(output)
     with _steps(progress).step("expose") as done:
-        stack = render.expose(light, seed=seed, exposures=exposure_ms or None, progress=done)
+        stack = render.expose(
+            light,
+            seed=seed,
+            sensor=scene.sensor,
+            exposures=exposure_ms or scene.exposures,
+            patterns=scene.patterns,
+            progress=done,
+        )
         stack.write(output)
     if as_json:
         levels = {"exposure_ms": stack.exposure_ms, "saturation_dn": stack.saturation_dn}
@@ -234,6 +253,7 @@ def decode_stack(
             number = float(gamma)
         except ValueError:
             raise DecodeError(f"--gamma '{gamma}': give a number, or 'estimate'") from None
+    require_writable(output)
 
     with _steps(progress).step("decode"):
         reconstruction = decode.reconstruct(

@@ -9,8 +9,9 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from fringebench.options import Fusion, ShowProgress
+from fringebench.options import AsJson, Fusion, ShowProgress
 from fringebench.progress import Mode, Steps
+from scenes.replace_file import require_writable
 
 STYLES = {"ok": "green", "warning": "yellow", "wrong": "bold red", "unknown": "dim"}
 
@@ -40,6 +41,8 @@ def import_capture(
 
     steps = Steps(Console(stderr=True), progress)
     capture = Capture.load(manifest)
+    if not check:
+        require_writable(output)
     with steps.step("read images"):
         stack = capture.stack()
     with steps.step("check"):
@@ -84,6 +87,7 @@ def stereo(
     ] = 1.0,
     fusion: Fusion = "max-modulation",
     progress: ShowProgress = Mode.AUTO,
+    as_json: AsJson = False,
 ) -> None:
     """Heights from two cameras that saw the same patterns; the projector needs no calibration."""
     import scenes
@@ -93,9 +97,14 @@ def stereo(
     stacks = [scenes.Stack.read(path) for path in (left, right)]
     pair = Source(files=tuple(calibration), mm_per_unit=mm_per_unit).pair()
     cameras = pair.cameras(stacks[0].resolution, stacks[1].resolution)
+    require_writable(output)
     with Steps(Console(stderr=True), progress).step("match"):
         rec = match(stacks[0], stacks[1], cameras, (-depth_mm[1], -depth_mm[0]), fusion=fusion)
     rec.write(output)
+    if as_json:
+        told = {"reasons": rec.reason_fractions(), "settings": rec.settings}
+        sys.stdout.write(json.dumps({"reconstruction": str(output)} | told, indent=2) + "\n")
+        return
     Console(highlight=False).print(f"{output}: {rec.valid.mean():.1%} of the pixels measured")
 
 

@@ -12,6 +12,7 @@ from rich.table import Table
 from fringebench.options import AsJson, SceneName, Settings, ShowProgress
 from fringebench.progress import Mode, Steps
 from scenes.errors import FileError
+from scenes.replace_file import require_writable
 
 Names = Annotated[
     list[str],
@@ -42,6 +43,7 @@ def twin(
         bool, typer.Option(help="R and T take projector points to the camera.")
     ] = False,
     name: Names = [],  # noqa: B006
+    as_json: AsJson = False,
 ) -> None:
     """Turn a calibration into a scene: the user's own rig, rendered before a plate, a cap and a step."""
     import scenes
@@ -57,6 +59,9 @@ def twin(
     )
     scene = make(source, output.stem, camera_size, projector_size)
     scenes.save(scene, output)
+    if as_json:
+        sys.stdout.write(json.dumps({"scene": str(output)}, indent=2) + "\n")
+        return
     eye, light = scene.camera.projection(), scene.projectors[0].projection()
     Console(highlight=False).print(
         f"{output}: camera {eye.width} x {eye.height}, projector {light.width} x {light.height}, "
@@ -86,6 +91,7 @@ def calibrate(
     if board not in ("checkerboard", "charuco"):
         raise FileError(f"--board '{board}': choose checkerboard or charuco")
     loaded = scenes.load(scene, parse_overrides(settings))
+    require_writable(output)
     landed = run(loaded, board, poses, seed, Steps(Console(stderr=True), progress))  # type: ignore[arg-type]
     if output:
         opencv_calibration.write(output, landed.found)

@@ -5,6 +5,11 @@ from typing import Any
 
 from scenes.errors import SceneError
 from scenes.foreign_text import parse_toml
+from scenes.load import dumps, parse
+from scenes.scene import Scene
+
+# Tables of a scene that come after its light.
+EXPOSED = ("sensor", "exposures", "patterns")
 
 
 def parse_overrides(
@@ -21,6 +26,21 @@ def parse_overrides(
     if phase_error_rad is not None:
         overrides["sampling.phase_error_rad"] = phase_error_rad
     return overrides
+
+
+def exposed_otherwise(scene: Scene, settings: Iterable[str]) -> Scene:
+    """The scene of traced light with ``key=value`` settings of its sensor, exposures or patterns.
+
+    Raises `SceneError` for a key that another trace would have to follow.
+    """
+    overrides = parse_overrides(settings)
+    for key in overrides:
+        if key.partition(".")[0] not in EXPOSED:
+            raise SceneError(
+                f"--set '{key}': traced light can be exposed with other {', '.join(EXPOSED)} only; for another scene trace "
+                "again, with fringebench render"
+            )
+    return parse(dumps(scene), overrides, where=scene.name) if overrides else scene
 
 
 def _one(setting: str) -> tuple[str, Any]:

@@ -171,8 +171,10 @@ def opened(
             channels = {} if header_only else file.channels()
             return file.header(), {key: channel.pixels for key, channel in channels.items()}
         except (RuntimeError, ValueError, TypeError, OSError) as error:
+            # What the library calls a file that it was given open, or in parts.
+            cause = first_line(said, error).replace("<python_buffer>", str(named))
             raise FileError(
-                f"'{named}' is truncated, damaged or no OpenEXR file: {first_line(said, error)}"
+                f"'{named}' is truncated, damaged or no OpenEXR file: {cause}"
             ) from error
 
 

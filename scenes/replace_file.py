@@ -29,18 +29,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
     >>> with replacing("/tmp/answer.txt") as beside:
     ...     _ = beside.write_text("42")
     """
-    try:
-        # Behind a link lies the file that is meant; the link stays.
-        target = Path(path).resolve()
-        if target.exists() and not target.is_file():
-            raise FileError(f"cannot write '{path}': it is a folder or a device; give a file name")
-        _sweep(target.parent)
-        beside, held = _made(target)
-    except (OSError, RuntimeError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise FileError(
-            f"cannot write '{path}': {reason}; choose a folder that exists and is writable"
-        ) from error
+    target, beside, held = _begun(path)
     try:
         yield beside
         with beside.open("rb") as written:
@@ -52,6 +41,32 @@ def replacing(path: str | Path) -> Iterator[Path]:
         beside.unlink(missing_ok=True)
         if held is not None:
             os.close(held)
+
+
+def require_writable(*paths: str | Path | None) -> None:
+    """Raise the `FileError` of a path that `replacing` cannot write: before the work, not after. None is no path."""
+    for path in paths:
+        if path is not None:
+            _, beside, held = _begun(path)
+            beside.unlink(missing_ok=True)
+            if held is not None:
+                os.close(held)
+
+
+def _begun(path: str | Path) -> tuple[Path, Path, int | None]:
+    """Where a file belongs, an empty one beside it, and what keeps that one locked."""
+    try:
+        # Behind a link lies the file that is meant; the link stays.
+        target = Path(path).resolve()
+        if target.exists() and not target.is_file():
+            raise FileError(f"cannot write '{path}': it is a folder or a device; give a file name")
+        _sweep(target.parent)
+        return target, *_made(target)
+    except (OSError, RuntimeError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise FileError(
+            f"cannot write '{path}': {reason}; choose a folder that exists and is writable"
+        ) from error
 
 
 def _made(target: Path) -> tuple[Path, int | None]:

@@ -82,6 +82,67 @@ def test_exposure_times_that_cannot_be_are_refused_without_touching_the_stack(
     assert (tmp_path / "stack.exr").read_text() == "precious"
 
 
+def test_traced_light_cannot_be_exposed_with_another_sensor(run: Run, tmp_path: Path) -> None:
+    assert run("render", "step", *SMALL).returncode == 0
+    few = (
+        "--set",
+        "sensor.bits=8",
+        "--set",
+        "exposures.auto.level_dn=120",
+        "--set",
+        "patterns.steps=3",
+    )
+    done = run("expose", "transport.exr", *few, "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["shape"] == [1, 9, 48, 64]
+    stack = Stack.read(tmp_path / "stack.exr")
+    assert (stack.frames.dtype, stack.sensor.bits) == (np.uint8, 8)
+    assert scenes.parse(stack.scene).sensor == stack.sensor
+    before = (tmp_path / "stack.exr").read_bytes()
+    for setting, told in (
+        ("camera.fx_px=3", "trace again"),
+        ("sensor.bots=8", "did you mean 'bits'"),
+        ("patterns.periods_px=[17.0]", "trace the scene again"),
+    ):
+        done = run("expose", "transport.exr", "--set", setting)
+        assert (done.returncode, told in done.stderr) == (2, True), done.stderr
+    assert (tmp_path / "stack.exr").read_bytes() == before
+
+
+def test_what_cannot_be_written_is_told_after_the_work(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_light(*_: object, **__: object) -> None:
+        pytest.fail("light was traced")
+
+    monkeypatch.setattr("render.trace", no_light)
+    for words in (
+        ("render", "step", "-o", "missing/t.exr"),
+        ("render", "step", "--truth", "missing/g.exr"),
+        ("calibrate", "step", "-o", "missing/rig.yml"),
+    ):
+        done = run(*words)
+        assert done.returncode == 2
+        assert "cannot write 'missing/" in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_empty_file_is_called_by_a_name_that_nobody_gave_it(run: Run, tmp_path: Path) -> None:
+    for content in (b"", b"no picture", bytes([0x76, 0x2F, 0x31, 0x01])):
+        (tmp_path / "mine.exr").write_bytes(content)
+        for command in ("decode", "expose", "view"):
+            done = run(command, "mine.exr")
+            assert done.returncode == 2
+            assert "'mine.exr' is truncated, damaged or no OpenEXR file" in done.stderr
+            assert "python_buffer" not in done.stderr
+
+
+def test_the_front_door_hides_its_names_from_completion() -> None:
+    import fringebench
+
+    assert {"load", "trace", "expose", "reconstruct", "score", "scenes"} <= set(dir(fringebench))
+
+
 def test_an_empty_list_of_strategies_is_no_wish_for_all(run: Run) -> None:
     done = run("compare", "step", *SMALL, "--strategies", ",")
     assert done.returncode == 2

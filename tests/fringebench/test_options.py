@@ -19,6 +19,9 @@ LONG = {
     "run", "render", "expose", "decode", "chapter", "compare", "regress", "budget", "dataset", "import", "calibrate",
     "accept", "stereo", "pads",
 }  # fmt: skip
+CHANCE = {
+    "run", "render", "expose", "chapter", "compare", "regress", "budget", "dataset", "calibrate", "accept", "pads",
+}  # fmt: skip
 
 
 def commands() -> Iterator[tuple[str, Any]]:
@@ -42,6 +45,14 @@ def test_a_long_command_cannot_show_progress_or_a_scene_cannot_be_overridden() -
         arguments = {p.name for p in command.params if p.param_type_name == "argument"}
         if arguments & {"scene", "rig"}:
             assert "--set" in options, name
+
+
+def test_a_command_has_no_answer_for_a_program_or_chance_that_no_seed_decides() -> None:
+    for name, command in commands():
+        options = {word for parameter in command.params for word in parameter.opts}
+        assert "--json" in options, name
+        if name in CHANCE:
+            assert "--seed" in options, name
 
 
 def test_the_shell_does_not_complete_scenes_files_and_rules(
