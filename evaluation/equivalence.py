@@ -3,8 +3,9 @@
 A figure measured in repeats has a standard error; so has the one it is held against. Their difference is then known to an
 interval, and the question is where that interval lies against a margin that is fixed beforehand: non-inferiority is shown
 when its upper end is below the margin, equivalence when both ends are within it. That is the two one-sided tests procedure
-(D. J. Schuirmann, J. Pharmacokinet. Biopharm. 15, 657 (1987)) with Welch's degrees of freedom. Absence of evidence does not
-pass: few or noisy repeats leave an interval too wide, and the verdict says so.
+(D. J. Schuirmann, J. Pharmacokinet. Biopharm. 15, 657 (1987)), with Welch's degrees of freedom, or on the differences of
+pairs where both were measured with the same noise. Absence of evidence does not pass: few or noisy repeats leave an
+interval too wide, and the verdict says so.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,6 +29,8 @@ class Estimate:
     mean: float
     standard_error: float
     repeats: int
+    values: tuple[float, ...] | None = None
+    """One a repeat, whose standard error is that of the figure: for comparison in pairs."""
 
     @classmethod
     def of(cls, values: ArrayLike) -> "Estimate":
@@ -38,22 +41,32 @@ class Estimate:
                 f"{sample.size} repeat: a standard error needs at least 2; give more seeds"
             )
         return cls(
-            float(sample.mean()), float(sample.std(ddof=1) / np.sqrt(sample.size)), sample.size
+            float(sample.mean()),
+            float(sample.std(ddof=1) / np.sqrt(sample.size)),
+            sample.size,
+            tuple(sample.tolist()),
         )
 
     @classmethod
     def jackknife(cls, statistic: Callable[[NDArray[np.intp]], float], repeats: int) -> "Estimate":
         """Of a statistic that takes all repeats at once, given as a function of the indices of those used.
 
-        Left-one-out values give its standard error (M. H. Quenouille 1956, J. W. Tukey 1958). Raises `ScoreError` for
-        fewer than three repeats, of which a statistic of two would be left.
+        Left-one-out values give its standard error (M. H. Quenouille 1956, J. W. Tukey 1958); `values` are Tukey's
+        pseudo-values. Raises `ScoreError` for fewer than three repeats, of which a statistic of two would be left.
         """
         if repeats < 3:
             raise ScoreError(f"{repeats} repeats: a jackknife needs at least 3; give more seeds")
         every = np.arange(repeats)
         left = np.array([statistic(np.delete(every, i)) for i in every])
         spread = (repeats - 1) / repeats * np.sum((left - left.mean()) ** 2)
-        return cls(statistic(every), float(np.sqrt(spread)), repeats)
+        whole = statistic(every)
+        pseudo = repeats * whole - (repeats - 1) * left
+        return cls(whole, float(np.sqrt(spread)), repeats, tuple(pseudo.tolist()))
+
+    def mirrored(self) -> "Estimate":
+        """Of minus the figure."""
+        values = None if self.values is None else tuple(-value for value in self.values)
+        return Estimate(-self.mean, self.standard_error, self.repeats, values)
 
 
 @dataclass(frozen=True)
@@ -73,8 +86,17 @@ class Comparison:
         return self.verdict in ("same", "better")
 
 
-def compare(new: Estimate, old: Estimate, margin: float, confidence: float = 0.99) -> Comparison:
+def compare(
+    new: Estimate,
+    old: Estimate,
+    margin: float,
+    confidence: float = 0.99,
+    paired: bool = False,
+) -> Comparison:
     """Whether a figure got worse by more than `margin`, at one-sided `confidence`.
+
+    `paired`: repeat i of both saw the same noise, so that only the scatter of the differences counts; ignored for figures
+    without `values`.
 
     ``same``: shown to be no worse than the margin. ``better``: that, and less by more than the margin. ``worse``: surely
     above the old, and by more than the margin as far as one knows. ``undecided``: the repeats show neither. Raises `ScoreError`
@@ -88,14 +110,10 @@ def compare(new: Estimate, old: Estimate, margin: float, confidence: float = 0.9
             f"margin = {margin}, confidence = {confidence}: the margin must be above 0, the confidence in (0.5, 1)"
         )
     difference = new.mean - old.mean
-    variances = new.standard_error**2, old.standard_error**2
-    error = float(np.sqrt(sum(variances)))
-    reach = 0.0
-    if error > 0:
-        freedom = sum(variances) ** 2 / sum(
-            v**2 / (e.repeats - 1) for v, e in zip(variances, (new, old), strict=True)
-        )
-        reach = float(stats.t.ppf(confidence, freedom)) * error
+    error, freedom = _of_pairs(new, old) if paired else (None, 0.0)
+    if error is None:
+        error, freedom = _of_difference(new, old)
+    reach = float(stats.t.ppf(confidence, freedom)) * error if error > 0 else 0.0
     lower, upper = difference - reach, difference + reach
     verdict: Verdict
     if difference > margin and lower > 0:
@@ -107,6 +125,25 @@ def compare(new: Estimate, old: Estimate, margin: float, confidence: float = 0.9
     else:
         verdict = "same"
     return Comparison(difference, lower, upper, margin, verdict)
+
+
+def _of_difference(new: Estimate, old: Estimate) -> tuple[float, float]:
+    """Standard error of the difference of independent figures, and Welch's degrees of freedom."""
+    variances = new.standard_error**2, old.standard_error**2
+    if not any(variances):
+        return 0.0, 1.0
+    freedom = sum(variances) ** 2 / sum(
+        v**2 / (e.repeats - 1) for v, e in zip(variances, (new, old), strict=True)
+    )
+    return float(np.sqrt(sum(variances))), freedom
+
+
+def _of_pairs(new: Estimate, old: Estimate) -> tuple[float | None, float]:
+    """The same from the differences of pairs; None where there are none."""
+    if new.values is None or old.values is None or len(new.values) != len(old.values):
+        return None, 0.0
+    between = Estimate.of(np.subtract(new.values, old.values))
+    return between.standard_error, between.repeats - 1.0
 
 
 def mean_square_bias(errors: Floats, used: Sequence[int] | NDArray[np.intp]) -> float:

@@ -103,7 +103,7 @@ def _errors(error: Floats) -> dict[str, Estimate]:
         return float(np.sqrt(np.nan_to_num(np.maximum(mean_square_bias(error, used), 0.0))))
 
     return {
-        "bias_mm": Estimate(abs(bias.mean), bias.standard_error, bias.repeats),
+        "bias_mm": bias.mirrored() if bias.mean < 0 else bias,
         "systematic_mm": Estimate.jackknife(systematic, len(error)),
         "noise_mm": Estimate(float(noise), 0.0, len(error)),
     }
@@ -128,8 +128,9 @@ def against(
     mm_per_rad: float,
     margins: Margins,
     confidence: float,
+    paired: bool = False,
 ) -> list[Row]:
-    """Every figure of a case against the baseline's.
+    """Every figure of a case against the baseline's; `paired`: both from the same seeds.
 
     Heights that the baseline never gave are held against perfect ones; heights no longer given are missing, which is a
     figure of its own.
@@ -152,7 +153,7 @@ def against(
                     metric,
                     estimate,
                     before,
-                    compare(estimate, before, margin, confidence),
+                    compare(estimate, before, margin, confidence, paired),
                 )
             )
     return rows

@@ -33,6 +33,8 @@ class Baseline:
     suite: str
     """Fingerprint of the cases."""
     figures: dict[str, Figures]
+    seeds: tuple[int, ...] = ()
+    """Of the noise; none: not known."""
 
     def write(self, path: str | Path) -> None:
         """Write as JSON, beside and renamed."""
@@ -52,12 +54,13 @@ class Baseline:
                 )
             figures = {
                 case: {
-                    region: {metric: Estimate(**estimate) for metric, estimate in metrics.items()}
+                    region: {metric: _estimate(estimate) for metric, estimate in metrics.items()}
                     for region, metrics in regions.items()
                 }
                 for case, regions in tree["figures"].items()
             }
-            return cls(str(tree["decoder"]), str(tree["suite"]), figures)
+            seeds = tuple(int(seed) for seed in tree.get("seeds", ()))
+            return cls(str(tree["decoder"]), str(tree["suite"]), figures, seeds)
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise FileError(f"baseline '{path}' cannot be read: {in_words(error)}") from error
 
@@ -96,12 +99,19 @@ class Regression:
             "baseline": self.baseline,
             "passed": self.passed,
             "updated": self.updated,
-            "rows": [asdict(row) for row in self.rows],
+            "rows": [_plain(row) for row in self.rows],
         }
 
     def describe(self) -> str:
         """One line for each figure that failed: case, region, by how much."""
         return "\n".join(told(row) for row in self.failed)
+
+
+def _plain(row: Row) -> dict[str, Any]:
+    tree = asdict(row)
+    for side in ("new", "old"):
+        del tree[side]["values"]
+    return tree
 
 
 def told(row: Row) -> str:
@@ -154,7 +164,7 @@ def regress(
             figures[case.name] = _figures(case, run, seeds, done)
     if old is None:
         assert target is not None  # only then is there nothing to compare with
-        Baseline(name, mark, figures).write(target)
+        Baseline(name, mark, figures, tuple(seeds)).write(target)
         return Regression(name, f"{target} (new)", (), figures, updated=True)
     if names == CASES and old.suite != mark:
         raise FileError(
@@ -171,13 +181,14 @@ def regress(
             case.mm_per_rad,
             margins or Margins(),
             confidence,
+            paired=old.seeds == tuple(seeds),
         )
     ]
     found = Regression(name, old.decoder if target is None else str(target), tuple(rows), figures)
     if not (update and found.passed):
         return found
     assert target is not None
-    Baseline(name, mark, figures).write(target)
+    Baseline(name, mark, figures, tuple(seeds)).write(target)
     return Regression(name, found.baseline, found.rows, figures, updated=True)
 
 
@@ -199,6 +210,11 @@ def _figures(case: Case, run: Decoder, seeds: Sequence[int], done: Report) -> Fi
         case.unlit,
         case.mm_per_rad,
     )
+
+
+def _estimate(tree: dict[str, Any]) -> Estimate:
+    values = tree.get("values")
+    return Estimate(**tree | {"values": None if values is None else tuple(map(float, values))})
 
 
 def _load(path: Path | None) -> Baseline:

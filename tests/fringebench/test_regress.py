@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from evaluation.regression import Margins
 from fringebench.decoders import resolve
 from fringebench.regress import SEEDS, Baseline, regress
 from fringebench.suite import CASES, Case, fingerprint, suite
@@ -102,6 +103,21 @@ def test_same_decoder_twice_differs_by_nothing(sweep: tuple[Case, ...], tmp_path
         found = regress(f"{FAULTY}:honest", file, update=True, cases=sweep, seeds=range(4))
     assert found.passed
     assert {row.comparison.difference for row in found.rows} == {0.0}
+
+
+def test_an_unchanged_decoder_fails_its_own_baseline(
+    sweep: tuple[Case, ...], tmp_path: Path
+) -> None:
+    """With margins far below the noise of the figures, only the same seeds can show that nothing changed."""
+    narrow = Margins(1e-6, 1e-6, 1e-6)
+    file = tmp_path / "baseline.json"
+    regress(f"{FAULTY}:honest", file, update=True, cases=sweep, seeds=range(4))
+    same = regress(f"{FAULTY}:honest", file, cases=sweep, seeds=range(4), margins=narrow)
+    assert same.passed, same.describe()
+    other = regress(f"{FAULTY}:honest", file, cases=sweep, seeds=range(4, 8), margins=narrow)
+    assert {row.metric for row in other.failed} >= {"bias_mm", "systematic_mm"}
+    # the answer for programs stays as it was
+    assert set(same.to_dict()["rows"][0]["new"]) == {"mean", "standard_error", "repeats"}
 
 
 @pytest.mark.parametrize(
