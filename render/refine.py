@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.linalg import hadamard
 from scipy.stats import norm
 
-from render.tracer import build
+from render.surfaces import Surfaces, shared
 from render.tracer import trace as one_pass
 from render.transport import PhaseError, Transport
 from scenes.basis import Basis, basis
@@ -62,6 +62,7 @@ def trace(
     footprint: float = 1.0,
     progress: Callable[[float], None] | None = None,
     phase_error_rad: float | None = None,
+    surfaces: Surfaces | None = None,
 ) -> Transport:
     """Trace the scene's light transport, for all its patterns, once or until the phase is known well enough.
 
@@ -69,7 +70,8 @@ def trace(
     light only). The same seed gives the same bits on one machine. Even `samples` are best: they lie in pairs opposite
     about the pixel's centre, which makes the phase of direct light nearly free of noise. `footprint` narrows the pixels
     about their centres, 0 to points: to see what their width costs. `progress` is called every second or so with the
-    share that is done; if it has a method ``detail``, that is told which pass it is.
+    share that is done; if it has a method ``detail``, that is told which pass it is. `surfaces` are those of
+    `render.surfaces`, for who needs them again.
 
     With `phase_error_rad` (None: the scene's `sampling.phase_error_rad`, unless `samples` are given) passes of `samples`
     paths or more are averaged until light's own noise moves the phase of the finest fringe by less than that in 95 % of
@@ -91,7 +93,7 @@ def trace(
     if target is None and samples is None:
         target = scene.sampling.phase_error_rad
     if target is None:
-        return one_pass(scene, seed, samples, depth, footprint, progress)
+        return one_pass(scene, seed, samples, depth, footprint, progress, surfaces)
     if not FINEST_PHASE_ERROR_RAD <= target <= 1.0:
         raise RenderError(
             f"phase_error_rad = {target!r}: needs a number from {FINEST_PHASE_ERROR_RAD:g} (float32 holds no finer phase) to 1"
@@ -109,7 +111,7 @@ def trace(
     def one(number: int, paths: int, told: Callable[[float], None] | None) -> Transport:
         # Drawn at random, not counted up: neighbouring seeds of a hash or a generator need not be independent.
         own = np.random.SeedSequence(int(seed), spawn_key=(number,)).generate_state(1, np.uint32)
-        return one_pass(scene, int(own[0]), paths, depth, footprint, told, built)
+        return one_pass(scene, int(own[0]), paths, depth, footprint, told, found)
 
     width, height = scene.camera.resolution
     bases = [basis(scene.patterns, p, p.resolution) for p in scene.projectors]
@@ -119,7 +121,7 @@ def trace(
         f"averaging passes of {width} x {height} pixels of {images} channels",
         "lower camera.resolution, or trace fewer periods or axes at a time",
     ):
-        built = build(scene)
+        found = shared(scene, surfaces)
         watch = _watches(scene.patterns, bases, width * height, int(seed))
         return _refined(one, watch, target, (size, most), progress, int(seed))
 

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,15 +9,14 @@ from numpy.typing import NDArray
 
 from render.kernel import Pass
 from render.light import Light
-from render.mitsuba_scene import geometry
 from render.optics import Optics, optics
+from render.surfaces import Surfaces, shared
 from render.survey import Tiles, survey
 from render.transport import Transport
 from render.variant import dr, mi, use
 from scenes.basis import Basis, basis
 from scenes.errors import RenderError
 from scenes.memory import room_for
-from scenes.meshes import parts
 from scenes.scene import MOST_SAMPLES, Scene
 
 # Numbers a tile may return at once: 64 MB of float32. Smaller tiles start more kernels, larger ones gain nothing.
@@ -30,23 +28,6 @@ TILE_S = 1.0
 FIRST_TILE_PATHS = 1 << 21
 
 
-@dataclass(frozen=True)
-class Built:
-    """A scene's surfaces, ready to be traced."""
-
-    mi_scene: Any
-    ids: Sequence[int]
-    """Of each part's label, from 1."""
-
-
-def build(scene: Scene) -> Built:
-    """Make the meshes and Mitsuba's scene of them: for small images the costliest step of a pass."""
-    use()
-    surfaces = parts(scene)
-    ids = tuple(scene.labels.index(surface.label) + 1 for surface in surfaces)
-    return Built(mi.load_dict(geometry(surfaces)), ids)
-
-
 def trace(
     scene: Scene,
     seed: int = 0,
@@ -54,7 +35,7 @@ def trace(
     depth: int | None = None,
     footprint: float = 1.0,
     progress: Callable[[float], None] | None = None,
-    built: Built | None = None,
+    surfaces: Surfaces | None = None,
 ) -> Transport:
     """Trace the scene's light transport once, for all its patterns.
 
@@ -66,7 +47,7 @@ def trace(
 
     The same seed gives the same bits on one machine. `footprint` narrows the pixels about their centres, 0 to points:
     to see what their width costs. `progress` is called every second or so with the share that is done.
-    `built` is what `build` made of the same scene, for those who trace it several times.
+    `surfaces` are the scene's, made before.
 
     Raises `RenderError` for impossible `samples`, `depth`, `seed` or `footprint`, and for light beyond float32,
     `TooLargeError` for more pixels and channels than memory holds.
@@ -96,7 +77,7 @@ def trace(
     ):
         return _traced(
             scene,
-            built or build(scene),
+            shared(scene, surfaces),
             bases,
             tiles,
             (samples, depth, footprint),
@@ -107,7 +88,7 @@ def trace(
 
 def _traced(
     scene: Scene,
-    built: Built,
+    surfaces: Surfaces,
     bases: tuple[Basis, ...],
     tiles: Tiles,
     paths: tuple[int, int, float],
@@ -115,7 +96,7 @@ def _traced(
     progress: Callable[[float], None] | None,
 ) -> Transport:
     samples, depth, footprint = paths
-    mi_scene = built.mi_scene
+    mi_scene = surfaces.mi_scene
     camera = optics(scene.camera)
     lights = [Light(p, optics(p), b.channels) for p, b in zip(scene.projectors, bases, strict=True)]
     glow = scene.ambient.radiance_w_m2_sr
@@ -161,7 +142,8 @@ def _traced(
                 )
         faster = TILE_S / max(time.perf_counter() - start, 1e-3)
         rows = min(most, max(1, int(rows * min(faster, 4.0))))
-    label = _labels(mi_scene, camera, built.ids, (height, width))
+    ids = [scene.labels.index(part.label) + 1 for part in surfaces.parts]
+    label = _labels(mi_scene, camera, ids, (height, width))
     return Transport(
         total, direct, ambient, label, scene.labels, bases, scene, seed, samples, depth
     )

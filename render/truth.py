@@ -13,6 +13,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from render.mitsuba_scene import geometry
+from render.surfaces import Surfaces, shared
 from render.tracer import trace
 from render.transport import Transport
 from render.variant import mi, use
@@ -20,7 +21,7 @@ from scenes.errors import RenderError
 from scenes.load import dumps
 from scenes.materials import Diffuse
 from scenes.memory import room_for
-from scenes.meshes import Part, parts
+from scenes.meshes import Part
 from scenes.patterns import PhaseShift
 from scenes.rig import Projection
 from scenes.scene import Scene
@@ -36,7 +37,9 @@ SAMPLES = 16
 LIFT = 50 * 2.0**-24
 
 
-def truth(scene: Scene, transport: Transport | None = None) -> Truth:
+def truth(
+    scene: Scene, transport: Transport | None = None, surfaces: Surfaces | None = None
+) -> Truth:
     """Ground truth of every pixel's centre: point, normal, label, and for each projector what it lights and where.
 
     A camera or projector with a lens is taken at the centre of its pupil. `lit` says that a point lies in the
@@ -45,13 +48,22 @@ def truth(scene: Scene, transport: Transport | None = None) -> Truth:
 
     `direct_fraction` is the mean over the pixel's area, not its centre's, and is as noisy as its light: that of
     `transport`, or of a small one (16 paths per pixel, white only) traced here. For a projector with gamma or
-    quantised values a transport holds no white; the nearest combination of its patterns stands for it.
+    quantised values a transport holds no white; the nearest combination of its patterns stands for it. `surfaces` are
+    those of `render.surfaces`, where they were needed before.
 
     Raises `RenderError` for a transport of another camera or other projectors, `TooLargeError` for more pixels than
     memory holds.
     """
     use()
-    surface = _Surface.of(scene)
+    surfaces = shared(scene, surfaces)
+    if transport is None:
+        transport = trace(_white(scene), samples=SAMPLES, surfaces=surfaces)
+    elif not _same_light(scene, transport.scene):
+        raise RenderError(
+            "the transport was traced from another scene (its camera, projectors or objects differ): "
+            "trace this scene, or give no transport"
+        )
+    surface = _Surface.of(scene, surfaces.parts)
     camera = scene.camera.projection()
     projectors = [projector.projection() for projector in scene.projectors]
     with room_for(
@@ -67,7 +79,7 @@ def _truth(
     surface: "_Surface",
     camera: Projection,
     projectors: Sequence[Projection],
-    transport: Transport | None,
+    transport: Transport,
 ) -> Truth:
     pixels = camera.pixel_centres().reshape(-1, 2)
     count, shape = len(pixels), (camera.height, camera.width)
@@ -99,7 +111,7 @@ def _truth(
         lit.reshape(-1, *shape),
         image[0].reshape(-1, *shape),
         image[1].reshape(-1, *shape),
-        _direct_fraction(scene, transport, label > 0),
+        _direct_fraction(transport, label > 0),
         dumps(scene),
         pad.reshape(shape) if scene.board else None,
         material.reshape(shape),
@@ -125,8 +137,7 @@ class _Surface:
     """The same about the origin, for Mitsuba."""
 
     @classmethod
-    def of(cls, scene: Scene) -> "_Surface":
-        surfaces = parts(scene)
+    def of(cls, scene: Scene, surfaces: Sequence[Part]) -> "_Surface":
         ids = [scene.labels.index(part.label) + 1 for part in surfaces]
         counts = [len(part.mesh.faces) for part in surfaces]
         pads = [
@@ -135,12 +146,16 @@ class _Surface:
         ]
         materials = tuple(dict.fromkeys(part.material_name for part in surfaces))
         made_of = [materials.index(part.material_name) + 1 for part in surfaces]
-        mesh = trimesh.util.concatenate([part.mesh for part in surfaces])
-        low, high = mesh.bounds
-        centre = (low + high) / 2
-        corners = np.asarray(mesh.triangles, np.float64)
         # One shape, so that Mitsuba's triangle numbers are the mesh's, about the origin, where float32 is finest.
-        mesh.apply_translation(-centre)
+        vertices = np.concatenate([np.asarray(part.mesh.vertices) for part in surfaces])
+        first = np.cumsum([0, *(len(part.mesh.vertices) for part in surfaces)])
+        faces = np.concatenate(
+            [part.mesh.faces + n for part, n in zip(surfaces, first, strict=False)]
+        )
+        corners = vertices[faces]
+        low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+        centre = (low + high) / 2
+        mesh = trimesh.Trimesh(vertices - centre, faces, process=False)
         whole = Part("", mesh, Diffuse(reflectance=0.5), smooth=False)
         return cls(
             corners,
@@ -212,17 +227,8 @@ def _vector(array: Points) -> Any:
     return mi.Vector3f(np.ascontiguousarray(array.T, dtype=np.float32))
 
 
-def _direct_fraction(
-    scene: Scene, transport: Transport | None, hit: NDArray[np.bool_]
-) -> NDArray[np.float32]:
+def _direct_fraction(transport: Transport, hit: NDArray[np.bool_]) -> NDArray[np.float32]:
     """(projector, row, col) share of direct light under white."""
-    if transport is None:
-        transport = trace(_white(scene), samples=SAMPLES)
-    elif not _same_light(scene, transport.scene):
-        raise RenderError(
-            "the transport was traced from another scene (its camera, projectors or objects differ): "
-            "trace this scene, or give no transport"
-        )
     shares = []
     for p, basis in enumerate(transport.bases):
         # White is the constant channel; without one, of tables (orthogonal, mean square 1) each by its mean.
