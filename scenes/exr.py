@@ -71,9 +71,16 @@ def new_header(
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
         "software": "fringebench",
-        ATTRIBUTE: json.dumps({"format": kind, "version": VERSION, **meta}),
+        ATTRIBUTE: json.dumps({"format": kind, "version": VERSION, **meta}, default=_plain),
         **(standard or {}),
     }
+
+
+def _plain(value: Any) -> Any:
+    """NumPy's numbers and arrays, of which users' scripts are full, in JSON's types."""
+    if isinstance(value, (np.generic, np.ndarray)):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} is not JSON serializable")
 
 
 def read(path: str | Path, kind: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:

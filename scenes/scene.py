@@ -75,7 +75,10 @@ class Exposures(Frozen):
     @model_validator(mode="after")
     def _one_way(self) -> Self:
         if (self.times_ms is None) == (self.auto is None):
-            raise ValueError("give either times_ms, or auto (with relative for several exposures)")
+            raise ValueError(
+                "give either times_ms, or auto (with relative for several exposures); in place of a scene's auto, set the "
+                "whole table: exposures = {times_ms = [2.0, 8.0]}"
+            )
         if self.times_ms and self.relative != (1.0,):
             raise ValueError(
                 f"relative {list(self.relative)} scales what auto finds, but times_ms is given: drop one of them"

@@ -203,12 +203,14 @@ class MeshFile(Frozen):
     def mesh(self) -> trimesh.Trimesh:
         """The file's triangles in mm."""
         if not is_file(self.path):
-            raise MeshError(f"mesh '{self.path}' {missing(self.path)}: give a PLY, STL or OBJ file")
+            raise MeshError(
+                f"mesh '{self.path}' {missing(self.path)}: give a PLY, STL, OBJ or GLB file"
+            )
         try:
             mesh = trimesh.load_mesh(self.path, process=False)
         except Exception as error:
             raise MeshError(
-                f"mesh '{self.path}' cannot be read ({error}): give a PLY, STL or OBJ file"
+                f"mesh '{self.path}' cannot be read ({error}): give a PLY, STL, OBJ or GLB file"
             ) from error
         if not isinstance(mesh, trimesh.Trimesh):
             raise MeshError(f"mesh '{self.path}' holds no triangles: export it as a triangle mesh")

@@ -1,5 +1,6 @@
 """The command line as scripts use it: options that are promised, answers in JSON, refusals with status 2."""
 
+import dataclasses
 import json
 import sys
 from collections.abc import Callable
@@ -10,11 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+import decode
+import render
 import scenes
 from fringebench.cli import main
 from fringebench.decoders import resolve
 from scenes import PhaseShift, Stack
-from scenes.errors import DecoderError
+from scenes.errors import DecoderError, FileError
 from tests.decode.synthetic import calibrated_stack, hills, rig
 
 SMALL = ("--set", "camera.resolution=[64,48]", "--set", "sampling.samples=2")
@@ -96,7 +99,8 @@ def test_traced_light_cannot_be_exposed_with_another_sensor(run: Run, tmp_path: 
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["shape"] == [1, 9, 48, 64]
     stack = Stack.read(tmp_path / "stack.exr")
-    assert (stack.frames.dtype, stack.sensor.bits) == (np.uint8, 8)
+    assert stack.frames.dtype == np.uint8
+    assert stack.sensor.bits == 8
     assert scenes.parse(stack.scene).sensor == stack.sensor
     before = (tmp_path / "stack.exr").read_bytes()
     for setting, told in (
@@ -135,6 +139,35 @@ def test_an_empty_file_is_called_by_a_name_that_nobody_gave_it(run: Run, tmp_pat
             assert done.returncode == 2
             assert "'mine.exr' is truncated, damaged or no OpenEXR file" in done.stderr
             assert "python_buffer" not in done.stderr
+
+
+def test_numbers_of_numpy_are_taken_and_then_cannot_be_written(tmp_path: Path) -> None:
+    file = tmp_path / "a.exr"
+    scene = scenes.load("step", {"camera.resolution": np.array([32, 24])})
+    light = render.trace(scene, seed=np.uint32(3), samples=np.int64(2), depth=np.int16(1))  # type: ignore[arg-type]
+    light.write(file)
+    assert render.Transport.read(file).seed == 3
+    stack = calibrated_stack(
+        rig(size=(32, 24)), hills((32, 24)), PhaseShift(periods_px=(16.0, 80.0))
+    )
+    choices: dict[str, Any] = {
+        "fusion": "single",
+        "exposure": np.int64(0),
+        "projector": np.int64(0),
+        "min_modulation_dn": np.float32(8.0),
+        "max_order_residual": np.float32(0.25),
+        "height_range_mm": np.array([-1.0, 2.0]),
+    }
+    rec = decode.reconstruct(stack, **choices)
+    rec.write(file)
+    settings = decode.Reconstruction.read(file).settings
+    assert {name: settings[name] for name in choices} == {
+        name: value.tolist() if isinstance(value, (np.generic, np.ndarray)) else value
+        for name, value in choices.items()
+    }
+    with pytest.raises(FileError, match="not JSON"):
+        dataclasses.replace(rec, settings={"rule": object()}).write(file)
+    assert decode.Reconstruction.read(file).settings == settings
 
 
 def test_the_front_door_hides_its_names_from_completion() -> None:

@@ -53,6 +53,7 @@ def test_fewer_pixels_keep_the_field_of_view() -> None:
             {"exposures": {"times_ms": [1.0], "relative": [1.0, 4.0]}},
             "scales what auto finds, but times_ms is given",
         ),
+        ({"exposures.times_ms": [1.0]}, "set the whole table: exposures = {times_ms = [2.0, 8.0]}"),
         ({"camera.fx_px": float("nan")}, "camera.fx_px: Input should be a finite number"),
         (
             {"camera.pose": {"R": [[1, 0, 0], [0, 1, 0], [0, 0, 2]], "t_mm": [0, 0, 0]}},
