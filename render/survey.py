@@ -113,7 +113,8 @@ def survey(
     odd = (eye.is_valid() & odd).numpy().reshape(tiles.count, POINTS).any(axis=1)
     lit = _relative(direct.numpy().reshape(tiles.count, POINTS))
     mean = lit.mean(axis=1)
-    busy = (lit.std(axis=1) > BUSY * mean) | _edged(eye, tiles.count) | odd
+    part = dr.reinterpret_array(mi.UInt32, eye.shape).numpy().reshape(tiles.count, POINTS)
+    busy = (lit.std(axis=1) > BUSY * mean) | _edged(eye, part) | _bordered(tiles, mean, part) | odd
     if depth == 1 and sky is None:
         none = mi.UInt32(0)
         share, aimed = dr.zeros(mi.Float, tiles.count), dr.zeros(mi.Bool, tiles.count)
@@ -170,15 +171,34 @@ def _points(
     return eye, direct
 
 
-def _edged(eye: Any, count: int) -> NDArray[np.bool_]:
+def _edged(eye: Any, part: NDArray[np.uint32]) -> NDArray[np.bool_]:
     """(tile,): whether surfaces end there: two parts of one paint may look alike, yet have phases of their own."""
-    part = dr.reinterpret_array(mi.UInt32, eye.shape).numpy().reshape(count, POINTS)
-    normal = np.array(dr.select(eye.is_valid(), eye.n, 0)).reshape(3, count, POINTS)
+    normal = np.array(dr.select(eye.is_valid(), eye.n, 0)).reshape(3, *part.shape)
     together = np.sqrt((normal.mean(axis=2) ** 2).sum(axis=0))
     # Unit vectors that scatter by s have a mean 1 - s^2 / 2 long.
     edged: NDArray[np.bool_] = part.min(axis=1) != part.max(axis=1)
     edged |= (part.max(axis=1) > 0) & (together < 1 - BUSY**2 / 2)
     return edged
+
+
+def _bordered(tiles: Tiles, mean: Floats, part: NDArray[np.uint32]) -> NDArray[np.bool_]:
+    """(tile,): whether a neighbour is another part, or as much brighter as makes a tile of both busy.
+
+    An edge that runs just inside a tile's border, as edges level with the image do, cuts off less than its points see.
+    """
+    shape = (tiles.rows, tiles.columns)
+    found = np.zeros(shape, np.bool_)
+    whole = part.min(axis=1) == part.max(axis=1)
+    for axis in range(2):
+        here = np.moveaxis(found, axis, 0)
+        light = np.moveaxis(mean.reshape(shape), axis, 0)
+        one, first = (np.moveaxis(a.reshape(shape), axis, 0) for a in (whole, part[:, 0]))
+        # Half the difference over the mean: the scatter of two.
+        apart = np.abs(light[1:] - light[:-1]) > BUSY * (light[1:] + light[:-1])
+        apart |= one[1:] & one[:-1] & (first[1:] != first[:-1])
+        here[1:] |= apart
+        here[:-1] |= apart
+    return found.ravel()
 
 
 def _looks(

@@ -141,6 +141,35 @@ def test_surfaces_that_no_table_can_hold_are_left_to_their_own_sampling(
     np.testing.assert_array_equal(learnt[0].share.numpy()[tile], 1)
 
 
+@pytest.mark.parametrize(
+    ("right", "z_mm"), [("black-ink", 0.0), ("white-paint", 1.0)], ids=["darker", "higher"]
+)
+def test_an_edge_just_inside_a_tiles_border_is_given_few_places(
+    right: str, z_mm: float, learnt: list[Guide]
+) -> None:
+    # Once missed beside mirrors, and wherever else an edge is level with the image: four times the noise in its pixels.
+    edge_mm, side = 0.025, 5
+
+    def plate(label: str, material: str, x_mm: float, z_mm: float) -> rigs.Entries:
+        shape = {"kind": "plate", "size_mm": (200.0, 160.0)}
+        at = (x_mm, 0.0, z_mm)
+        return {"label": label, "material": material, "position_mm": at, "shape": shape}
+
+    objects = [
+        plate("left", "white-paint", edge_mm - 100.0, 0.0),
+        plate("right", right, edge_mm + 100.0, z_mm),
+    ]
+    # A pixel is 0.5 mm wide, and a border of tiles lies at x = 0.
+    camera = rigs.telecentric((100, 75), field_mm=50.0)
+    scene = rigs.scene(camera, rigs.telecentric_projector(), objects=objects)
+    render.trace(scene, samples=64, depth=1)
+    assert learnt[0].tile_px == side
+    busy = learnt[0].busy.numpy().reshape(-1, learnt[0].columns)
+    assert busy[:, 100 // 2 // side].all()
+    # All else is even.
+    assert busy[:, : 100 // 2 // side - 1].sum() == busy[:, 100 // 2 // side + 1 :].sum() == 0
+
+
 def test_a_place_without_its_opposite_shifts_the_phase_of_direct_light() -> None:
     # Where direct light is smooth a quarter of the samples look at it: of 28 samples seven, were they not made even.
     scene = scenes.load("step", {"camera.resolution": [80, 60]})
