@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from trimesh.transformations import transform_points
 from trimesh.triangles import area
 
 from scenes.board_meshes import Body, bodies
@@ -80,7 +81,9 @@ def _placed(item: Object) -> trimesh.Trimesh:
     with np.errstate(all="ignore"):
         mesh = item.shape.mesh()
     _check(mesh, item.label)
-    mesh.apply_transform(item.placement())
+    # Not apply_transform, which hashes all there is to keep what nobody has asked for.
+    placed = transform_points(np.asarray(mesh.vertices), item.placement())
+    mesh = trimesh.Trimesh(placed, np.asarray(mesh.faces), process=False)
     _check_reach(mesh, item.label)
     return mesh
 
