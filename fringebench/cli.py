@@ -1,10 +1,12 @@
-"""The command line. Exit status: 0 done, 1 a gate failed, 2 bad input or use."""
+"""The command line. Exit status: 0 done, 1 a gate failed, 2 bad input or use; 70 a fault of ours."""
 
 import io
 import json
 import os
 import sys
+import traceback
 import warnings
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -27,8 +29,10 @@ from scenes.errors import DecodeError, FringebenchError, FringebenchWarning
 from scenes.paths import as_file_name
 from scenes.replace_file import require_writable
 
-# What a shell reports for a command that Ctrl-C ended.
-INTERRUPTED = 130
+# What a shell reports for a command that Ctrl-C ended, and for one whose reader went away (| head).
+INTERRUPTED, UNREAD = 130, 141
+# "Internal software error" (sysexits.h): neither a gate's verdict nor the user's mistake.
+FAULT = 70
 NAIVE_TITLE = "one exposure, saturation ignored (what the chapter warns of)"
 
 
@@ -43,6 +47,10 @@ class _Commands(TyperGroup):
             kept = f"; {stopped}" if str(stopped) else "; no file is left half written"
             sys.stderr.write(f"fringebench: interrupted{kept}\n")
             raise typer.Exit(INTERRUPTED) from None
+        except BrokenPipeError:
+            # Typer would give status 1 here as well.
+            _unheard()
+            raise typer.Exit(UNREAD) from None
 
 
 app = typer.Typer(
@@ -347,27 +355,57 @@ register_view(app)
 def main() -> None:
     """Run the command line; errors a user can mend are one message and status 2."""
     warnings.showwarning = _warn
+    sys.exit(_status())
+
+
+def _status() -> Any:
+    """Run a command, and give its exit status once all that it said has arrived."""
+    # A program that was started without them (`>&-`) has none.
+    sys.stdout = sys.stdout or io.StringIO()
+    sys.stderr = sys.stderr or io.StringIO()
     for stream in (sys.stdout, sys.stderr):
         # A terminal without micrometres, or a name that is no UTF-8, is no reason to lose an answer.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
-        app()
+        status: Any = 0
+        try:
+            app()
+        except SystemExit as leaving:
+            status = leaving.code
+        sys.stdout.flush()
+        return status
     except KeyboardInterrupt:
         sys.stderr.write("fringebench: interrupted\n")
-        sys.exit(INTERRUPTED)
+        return INTERRUPTED
     except FringebenchError as error:
         sys.stderr.write(f"fringebench: {error}\n")
-        sys.exit(2)
     except MemoryError:
         sys.stderr.write(
             "fringebench: out of memory; use fewer pixels, frames or exposures, or a larger machine\n"
         )
-        sys.exit(2)
     except BrokenPipeError:
-        # The reader of our output went away (| head): nothing is wrong, and nothing more can be said.
+        _unheard()
+        return status or UNREAD
+    except OSError as error:
+        where = "the answer" if error.filename is None else f"'{error.filename}'"
+        sys.stderr.write(
+            f"fringebench: {where} cannot be written or read: {error.strerror or error}\n"
+        )
+        _unheard()
+    except Exception:
+        traceback.print_exc()
+        sys.stderr.write(
+            "fringebench: this is a fault of fringebench, not of yours: please report it\n"
+        )
+        return FAULT
+    return 2
+
+
+def _unheard() -> None:
+    """Nothing more can be said: let what is left go nowhere, or Python complains at its end."""
+    with suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(0)
 
 
 def _warn(message: Warning | str, category: type[Warning], *where: Any, **line: Any) -> None:
