@@ -5,7 +5,7 @@ a pixel. And a calibration has no world, only the first camera's frame (y down, 
 same x, y up and z towards the camera, and z = 0 lies `distance_mm` in front of it: height grows towards the camera.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -18,7 +18,7 @@ from pydantic import Field, PositiveFloat, ValidationError
 from scenes.calibration import Calibration
 from scenes.emission import PinholeProjector
 from scenes.errors import FileError, nearest
-from scenes.foreign_text import parse_json
+from scenes.foreign_text import parse_json, parse_xml, parse_yaml
 from scenes.frozen import Frozen
 from scenes.replace_file import replacing
 from scenes.rig import Coefficients, Extrinsics, Pinhole, Resolution
@@ -47,8 +47,6 @@ NAMES: dict[str, tuple[str, ...]] = {
     "rotation": ("R", "rotation", "rotation_matrix", "stereo_R", "R12", "cam_proj_rmat", "rmat"),
     "translation": ("T", "t", "translation", "translation_vector", "stereo_T", "T12", "cam_proj_tvec", "tvec"),
 }  # fmt: skip
-# Numbers in the longest part of a rig, and room to spare.
-LONGEST = 64
 REQUIRED = ("first_matrix", "second_matrix", "rotation", "translation")
 WIDTHS = {
     "first_size": ("image_width", "image_height"),
@@ -127,7 +125,7 @@ class Pair:
         where = ", ".join(f"'{path}'" for path in source.files)
         nodes: dict[str, Any] = {}
         for path in source.files:
-            nodes |= _nodes(path)
+            nodes |= entries(path)
         parts = _parts(nodes, source.names, where)
         rotation = _rotation(parts["rotation"], where)
         translation = _shaped(parts["translation"], (3,), "translation", where)
@@ -217,7 +215,13 @@ class Pair:
         return size
 
 
-def _nodes(path: Path) -> dict[str, Any]:
+PARSERS: dict[str, tuple[Callable[[str], Any], str]] = {
+    ".json": (parse_json, "JSON"),
+    ".xml": (parse_xml, "XML"),
+}
+
+
+def entries(path: Path) -> dict[str, Any]:
     """Top-level entries of a file: arrays and numbers."""
     try:
         text = path.read_text("utf-8")
@@ -225,56 +229,35 @@ def _nodes(path: Path) -> dict[str, Any]:
         raise FileError(f"calibration '{path}' does not exist: check the path") from None
     except (OSError, ValueError) as error:
         raise FileError(f"calibration '{path}' cannot be read: {error}") from error
-    if path.suffix.lower() == ".json":
-        try:
-            tree = parse_json(text)
-        except ValueError as error:
-            raise FileError(f"calibration '{path}' is not valid JSON: {error}") from error
-        if not isinstance(tree, dict):
-            raise FileError(f"calibration '{path}' is no JSON object")
-        return {key: _from_json(value) for key, value in tree.items()}
+    # not by cv2.FileStorage: where a file is damaged it may never return, or write beyond its matrix and abort
+    parse, kind = PARSERS.get(path.suffix.lower(), (parse_yaml, "YAML"))
+    if kind == "YAML" and text.lstrip("\ufeff \t\r\n").startswith("<"):
+        parse, kind = parse_xml, "XML"
     try:
-        # as text: OpenCV opens no file whose name is not in its own encoding
-        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        root = storage.root()
-        return {key: _from_node(root.getNode(key)) for key in root.keys()}  # noqa: SIM118
-    except (cv2.error, SystemError, UnicodeError) as error:
+        tree = parse(text)
+    except ValueError as error:
+        raise FileError(f"calibration '{path}' is not valid {kind}: {error}") from error
+    if not isinstance(tree, dict):
         raise FileError(
-            f"calibration '{path}' is no OpenCV file (YAML, XML or JSON as cv::FileStorage writes): "
-            f"{str(error).splitlines()[0]}"
-        ) from error
+            f"calibration '{path}' has no named entries: give a file (YAML, XML or JSON) as cv::FileStorage writes it"
+        )
+    return {key: _value(value) for key, value in tree.items()}
 
 
-def _from_json(value: Any) -> Any:
-    if isinstance(value, dict) and "data" in value:
-        return _matrix(value["data"], value.get("rows"), value.get("cols"))
-    return value
-
-
-def _from_node(node: Any) -> Any:
-    if node.isMap():
-        # not node.mat(): OpenCV 5.0 writes beyond its matrix, and the process aborts, where rows, cols and data differ
-        data, rows, columns = (node.getNode(name) for name in ("data", "rows", "cols"))
-        if not data.isSeq():
-            return None
-        # a vector (opencv-nd-matrix) has neither
-        shape = (None, None) if rows.empty() else (rows.real(), columns.real())
-        return _matrix(_from_node(data), *shape)
-    if node.isSeq():
-        # corner lists and the like: no part of a rig is that long, and reading them is slow
-        if node.size() > LONGEST:
-            return None
-        return [_from_node(node.at(i)) for i in range(node.size())]
-    if node.isInt() or node.isReal():
-        return node.real()
-    return node.string() if node.isString() else None
+def _value(value: Any) -> Any:
+    if isinstance(value, dict):
+        return _matrix(_value(value.get("data")), value.get("rows"), value.get("cols"))
+    if isinstance(value, list):
+        return [_value(item) for item in value]
+    # so OpenCV spells NaN and infinity
+    return value.replace(".Nan", "nan").replace(".Inf", "inf") if isinstance(value, str) else value
 
 
 def _matrix(data: Any, rows: Any, columns: Any) -> NDArray[np.float64] | None:
     """A stored matrix, flat where it does not say its shape; None where it is none."""
     try:
         flat = np.asarray(data, dtype=np.float64).ravel()
-        shape = (flat.size,) if rows is None else (int(rows), int(columns))
+        shape = (flat.size,) if rows is None else (int(float(rows)), int(float(columns)))
         # reshape takes a negative size for "whatever fits"
         return flat.reshape(shape) if min(shape) > 0 else None
     except (TypeError, ValueError, OverflowError):

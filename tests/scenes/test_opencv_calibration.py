@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from scenes.errors import FileError
-from scenes.opencv_calibration import Source
+from scenes.opencv_calibration import Source, entries
 
 K1 = np.array([[2800.0, 0, 1500.0], [0, 2810.0, 1090.0], [0, 0, 1]])
 K2 = np.array([[1650.0, 0, 620.0], [0, 1720.0, 360.0], [0, 0, 1]])
@@ -84,6 +84,30 @@ def test_own_names_units_and_direction(tmp_path: Path) -> None:
         Source(files=(path,), names={"first_matrix": "a"}).pair()
     with pytest.raises(FileError, match="did you mean 'rotation'"):
         Source(files=(path,), names={"rotatoin": "turn"}).pair()
+
+
+@pytest.mark.parametrize("suffix", [".yml", ".xml", ".json"])
+def test_opencv_reads_the_same_numbers(tmp_path: Path, suffix: str) -> None:
+    rng = np.random.default_rng(1)
+    numbers = {f"m{k}": rng.normal(size=(3, 4)) * 10.0 ** rng.integers(-30, 30) for k in range(20)}
+    path = write(tmp_path / f"rig{suffix}", numbers | {"n": 7, "x": -2.5e-7, "word": "left"})
+    theirs, mine = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ), entries(path)
+    for name in numbers:
+        np.testing.assert_array_equal(mine[name], theirs.getNode(name).mat())
+    assert float(mine["n"]) == 7 and float(mine["x"]) == -2.5e-7
+    assert mine["word"].strip('"') == "left"
+
+
+# Found by fuzzing: cv2.FileStorage never returned from the one, and gave lists within lists without end of the other.
+@pytest.mark.parametrize(
+    "text", ["%YA3\n   c: 3\nr K: %YAML 0.2\n---\nR: [ 1!!o  \0 0.,  ., 0. ]", "A:" + "-" * 650]
+)
+@pytest.mark.parametrize("suffix", [".yml", ".xml"])
+def test_a_text_that_opencv_cannot_leave_is_refused(tmp_path: Path, suffix: str, text: str) -> None:
+    path = tmp_path / f"rig{suffix}"
+    path.write_text(text)
+    with pytest.raises(FileError, match=r"calibration '.*' (is not valid|has no named entries)"):
+        Source(files=(path,)).pair()
 
 
 def test_intrinsics_and_extrinsics_may_come_in_two_files(tmp_path: Path) -> None:

@@ -1,0 +1,53 @@
+"""Texts by strangers: their values, or a `ValueError`; never a crash, a hang or all of the memory."""
+
+from typing import Any
+
+import pytest
+
+from scenes.foreign_text import parse_json, parse_toml, parse_xml, parse_yaml
+
+DEEP = 100_000
+
+
+@pytest.mark.parametrize(
+    ("parse", "text"),
+    [
+        (parse_toml, "a = " + "[" * DEEP),
+        (parse_json, "[" * DEEP),
+        (parse_yaml, "[" * DEEP),
+        # no text at all to a parser of YAML, and a list within a list to OpenCV's
+        (parse_yaml, "- " * DEEP),
+        (parse_xml, "<a>" * 5000 + "</a>" * 5000),
+    ],
+    ids=["toml", "json", "yaml", "yaml-dashes", "xml"],
+)
+def test_deep_nesting_is_refused(parse: Any, text: str) -> None:
+    with pytest.raises(ValueError, match="nested too deeply"):
+        parse(text)
+
+
+@pytest.mark.parametrize(
+    ("parse", "text", "says"),
+    [
+        (parse_yaml, "a: &a [1, 2]\nb: [*a, *a]", "alias"),
+        (parse_yaml, "a: [1, 2", "expected"),
+        (parse_yaml, "a: \0", "control characters"),
+        (parse_yaml, "a: 1\n---\nb: 2", "another document"),
+        (parse_xml, "<a><b></a>", "mismatched tag"),
+        (parse_xml, "", "no element"),
+        (parse_xml, '<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>', "document type"),
+    ],
+)
+def test_what_no_calibration_has_is_refused(parse: Any, text: str, says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        parse(text)
+
+
+def test_scalars_stay_as_they_are_written() -> None:
+    # YAML 1.1 would make 25200 and False of the first two
+    assert parse_yaml("a: 7:00:00\nb: no\nc: 1.e-3\n") == {"a": "7:00:00", "b": "no", "c": "1.e-3"}
+    assert parse_xml("<r><a> 1. 2.\n 3.</a><b>x</b><c/></r>") == {
+        "a": ["1.", "2.", "3."],
+        "b": "x",
+        "c": [],
+    }
