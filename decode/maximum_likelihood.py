@@ -16,15 +16,9 @@ import numpy as np
 
 from decode.device import Device, Lanes
 from decode.fusion import Samples
-from decode.least_squares import (
-    MaskedLeastSquares,
-    Solution,
-    phasor_of,
-    solve,
-    total_of,
-    waves,
-)
+from decode.least_squares import MaskedLeastSquares, fitted, phasor_of, times
 from decode.phase import Phasor
+from decode.weighted_fit import Solution, solve, total_of, waves
 from scenes.stack import Stack
 
 # Newton's steps at most: a pixel with one clipped sample takes three or four, the worst conflicts of many about eight.
@@ -72,7 +66,8 @@ class CensoredMl(MaskedLeastSquares):
     def fuse(self, samples: Samples) -> Phasor:
         """The most likely phasor in DN of the longest exposure; usable where the samples determine it."""
         dr = samples.device.dr
-        start, masks = self.fit(samples)
+        masks = self.mask(samples)
+        start = fitted(samples, masks)
         if samples.saturation_dn == np.inf and self.lowest_dn == -np.inf:
             return phasor_of(samples, start, masks)
         good = start.determined
@@ -82,11 +77,11 @@ class CensoredMl(MaskedLeastSquares):
                 clipped |= (dn >= samples.saturation_dn) | (dn <= self.lowest_dn)
         # where unclipped samples alone determine nothing, begin with the shortest exposure's clipped ones at their limits
         shortest = samples.by_time[0]
-        naive, per_ms = samples.phasor(shortest), 1.0 / samples.exposure_ms[shortest]
+        naive, per_time = samples.phasor(shortest), 1.0 / min(times(samples))
         state = (
-            dr.select(good, start.offset, (naive.offset - samples.black_level_dn) * per_ms),
-            dr.select(good, start.cosine, naive.cosine * per_ms),
-            dr.select(good, start.sine, naive.sine * per_ms),
+            dr.select(good, start.offset, (naive.offset - samples.black_level_dn) * per_time),
+            dr.select(good, start.cosine, naive.cosine * per_time),
+            dr.select(good, start.sine, naive.sine * per_time),
         )
         offset, cosine, sine, variance, determined, _, _ = dr.while_loop(
             (*state, start.variance_rad2, good, samples.device.types.UInt32(0), clipped),
@@ -133,9 +128,9 @@ class CensoredMl(MaskedLeastSquares):
     def _sample(self, samples: Samples, k: int, n: int, light: Lanes) -> tuple[Lanes, Lanes, Lanes]:
         """A sample's slope and curvature of the log likelihood along E_n, and the part of the latter that is knowledge."""
         dr = samples.device.dr
-        dn, time_ms = samples.dn[k][n], samples.exposure_ms[k]
+        dn, time = samples.dn[k][n], times(samples)[k]
         constant, slope = samples.noise[k]
-        mu = light * time_ms
+        mu = light * time
         precision = 1.0 / (constant + slope * dr.maximum(mu, 0.0))
         high, low = dn >= samples.saturation_dn, dn <= self.lowest_dn
         inside = (dn - samples.black_level_dn - mu) * precision
@@ -146,9 +141,9 @@ class CensoredMl(MaskedLeastSquares):
         ratio = mills(samples.device, z)
         outside = dr.select(high, ratio, -ratio) * root
         clipped = high | low
-        bend = dr.select(clipped, ratio * (z + ratio), 1.0) * precision * time_ms**2
+        bend = dr.select(clipped, ratio * (z + ratio), 1.0) * precision * time**2
         return (
-            dr.select(clipped, outside, inside) * time_ms,
+            dr.select(clipped, outside, inside) * time,
             bend,
             dr.select(high & (z > CERTAIN), 0.0, bend),
         )

@@ -111,7 +111,7 @@ def variance_rad2(
     bright steps' noise does not average out.
     """
     across = across_dn2(fringes, cosine, sine, variance_dn2, slope)
-    return across * _inverse(cosine * cosine + sine * sine)
+    return across * inverse(cosine * cosine + sine * sine)
 
 
 def across_dn2(
@@ -128,10 +128,10 @@ def across_dn2(
     total = variance_dn2 * _polynomial(even, cosine, sine)
     if tilted:
         total = total + _polynomial(odd, cosine, sine)
-    return total * _inverse(cosine * cosine + sine * sine)
+    return total * inverse(cosine * cosine + sine * sine)
 
 
-def _inverse(power2: Lanes) -> Lanes:
+def inverse(power2: Lanes) -> Lanes:
     """Reciprocal by multiplication: see `Device.root`."""
     import drjit as dr  # not before `Device.open` has told it where LLVM is
 
