@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from typer.core import TyperGroup
 
 import scenes
@@ -98,7 +99,7 @@ def run(
     if result.score.light:
         console.print(told(result.score.light), highlight=False, soft_wrap=True)
     spent = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in result.seconds.items())
-    console.print(f"files in {result.folder}  ({spent})", highlight=False)
+    sys.stdout.write(f"files in {result.folder}  ({spent})\n")
 
 
 @app.command("scenes", epilog="Example: fringebench scenes bench > mine.toml")
@@ -299,7 +300,7 @@ def evaluate(
         return
     from fringebench.tables import feature_table, score_table
 
-    _console().print(score_table(score, str(reconstruction)))
+    _console().print(score_table(score, escape(str(reconstruction))))
     if score.features:
         _console().print(feature_table(score))
 
@@ -322,7 +323,7 @@ def chapter(
 
     _console().print(chapter_table(result))
     if output:
-        _console().print(f"figures in {output}", highlight=False)
+        sys.stdout.write(f"figures in {output}\n")
 
 
 @app.command(epilog="Example: fringebench doctor --json")
@@ -338,7 +339,7 @@ def doctor(as_json: AsJson = False) -> None:
 
         _console().print(doctor_table(diagnosis))
         for problem in diagnosis.problems:
-            _console().print(f"[bold red]missing:[/] {problem}")
+            _console().print(f"[bold red]missing:[/] {escape(problem)}")
     if not diagnosis.healthy:
         raise typer.Exit(2)
 

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 
 import scenes
 from fringebench.options import AsJson, PhaseError, SceneName, Seed, Settings, ShowProgress
@@ -65,11 +66,11 @@ def compare(
     for table in tables(result):
         console.print(table)
     for name, budget, reason in result.left_out:
-        console.print(f"[yellow]left out:[/] {name}, {budget}: {reason}")
+        console.print(f"[yellow]left out:[/] {name}, {budget}: {escape(reason)}")
     if result.light:
         console.print(told(result.light), soft_wrap=True)
     for path in written:
-        console.print(f"wrote {path}")
+        sys.stdout.write(f"wrote {path}\n")
 
 
 def register(app: typer.Typer) -> None:

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from fringebench.options import AsJson, Fusion, ShowProgress
@@ -50,10 +51,11 @@ def import_capture(
     if as_json:
         sys.stdout.write(json.dumps(report.to_dict(), indent=2) + "\n")
     else:
-        table = Table("check", "", "what was found", title=f"{manifest}")
+        table = Table("check", "", "what was found", title=escape(str(manifest)))
         for finding in report.findings:
             style = STYLES[finding.verdict]
-            table.add_row(finding.name, f"[{style}]{finding.verdict}[/]", finding.message)
+            verdict = f"[{style}]{finding.verdict}[/]"
+            table.add_row(escape(finding.name), verdict, escape(finding.message))
         Console().print(table)
     if check:
         raise typer.Exit(1 if report.wrong else 0)
@@ -64,8 +66,8 @@ def import_capture(
     if not as_json:
         exposures, frames, rows, columns = stack.frames.shape
         rig = "calibrated" if stack.calibration else "not calibrated"
-        Console(highlight=False).print(
-            f"{output}: {exposures} exposures, {frames} frames, {columns} x {rows} px, {rig}"
+        sys.stdout.write(
+            f"{output}: {exposures} exposures, {frames} frames, {columns} x {rows} px, {rig}\n"
         )
 
 
@@ -105,7 +107,7 @@ def stereo(
         told = {"reasons": rec.reason_fractions(), "settings": rec.settings}
         sys.stdout.write(json.dumps({"reconstruction": str(output)} | told, indent=2) + "\n")
         return
-    Console(highlight=False).print(f"{output}: {rec.valid.mean():.1%} of the pixels measured")
+    sys.stdout.write(f"{output}: {rec.valid.mean():.1%} of the pixels measured\n")
 
 
 def register(app: typer.Typer) -> None:

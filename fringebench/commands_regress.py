@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 
 from fringebench.options import AsJson, Fusion, PhaseError, SceneName, Seed, Settings, ShowProgress
 from fringebench.progress import Mode, Steps
@@ -70,20 +71,15 @@ def regress(
     else:
         console = Console(highlight=False, soft_wrap=True)
         for row in result.failed:
-            console.print(f"[red]{row.comparison.verdict}[/]  {told(row)}")
+            console.print(f"[red]{row.comparison.verdict}[/]  {escape(told(row))}")
         for row in result.improved:
-            console.print(f"[green]better[/]  {told(row)}")
+            console.print(f"[green]better[/]  {escape(told(row))}")
         if result.updated:
-            console.print(f"stored as {baseline}")
+            sys.stdout.write(f"stored as {baseline}\n")
         if result.rows:
-            console.print(
-                f"{result.decoder} against {result.baseline}: "
-                + (
-                    f"{len(result.failed)} of {len(result.rows)} figures failed"
-                    if result.failed
-                    else "passed"
-                )
-            )
+            failed = f"{len(result.failed)} of {len(result.rows)} figures failed"
+            verdict = failed if result.failed else "passed"
+            sys.stdout.write(f"{result.decoder} against {result.baseline}: {verdict}\n")
     if not result.passed:
         raise typer.Exit(1)
 
@@ -104,7 +100,7 @@ def export(
     if as_json:
         _print_json({"manifest": manifest})
     else:
-        Console(highlight=False).print(manifest)
+        sys.stdout.write(f"{manifest}\n")
 
 
 def budget(

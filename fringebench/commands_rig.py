@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from fringebench.options import AsJson, SceneName, Settings, ShowProgress
@@ -63,9 +64,9 @@ def twin(
         sys.stdout.write(json.dumps({"scene": str(output)}, indent=2) + "\n")
         return
     eye, light = scene.camera.projection(), scene.projectors[0].projection()
-    Console(highlight=False).print(
+    sys.stdout.write(
         f"{output}: camera {eye.width} x {eye.height}, projector {light.width} x {light.height}, "
-        f"z = 0 at {distance_mm:g} mm; next: fringebench run {output}"
+        f"z = 0 at {distance_mm:g} mm; next: fringebench run {output}\n"
     )
 
 
@@ -98,7 +99,7 @@ def calibrate(
     if as_json:
         sys.stdout.write(json.dumps(landed.to_dict(), indent=2) + "\n")
         return
-    table = Table("", "rendered", "found", "difference", title=f"{loaded.name}, {board}")
+    table = Table("", "rendered", "found", "difference", title=escape(f"{loaded.name}, {board}"))
     for row, true, found, difference in landed.rows():
         relative = row.endswith(("fx_px", "fy_px", "baseline_mm"))
         table.add_row(
@@ -138,7 +139,9 @@ def accept(
     if as_json:
         sys.stdout.write(json.dumps(result.to_dict(), indent=2) + "\n")
     else:
-        table = Table("measure", "worst", "noise alone", title=f"{result.scene}, acceptance")
+        table = Table(
+            "measure", "worst", "noise alone", title=escape(f"{result.scene}, acceptance")
+        )
         for name, value in worst.items():
             told = f"{noise[name] * 1e3:.1f} µm" if name in noise else ""
             table.add_row(name, f"{value * 1e3:.1f} µm", told)

@@ -170,6 +170,21 @@ def test_numbers_of_numpy_are_taken_and_then_cannot_be_written(tmp_path: Path) -
     assert decode.Reconstruction.read(file).settings == settings
 
 
+def test_a_path_that_is_told_is_broken_in_two_or_loses_its_brackets(run: Run) -> None:
+    folder = "[red]" + "long-" * 30
+    done = run("run", "step", *SMALL, "-o", folder)
+    assert f"files in {folder}  (" in done.stdout
+    (Path(folder) / "reconstruction.exr").rename("[bold]r.exr")
+    done = run("evaluate", "[bold]r.exr", f"{folder}/truth.exr")
+    assert "[bold]r.exr" in done.stdout
+    done = run("compare", "step", *SMALL, "--strategies", "single", "--repeats", "1", "-o", folder)
+    assert f"wrote {folder}/compare.json\n" in done.stdout
+    done = run("export", f"{folder}/stack.exr", "-o", folder)
+    assert done.stdout == f"{folder}/manifest.toml\n"
+    done = run("import", f"{folder}/manifest.toml", "-o", f"{folder}/i.exr", "--force")
+    assert f"{folder}/i.exr: 1 exposures, 12 frames, 64 x 48 px, calibrated\n" in done.stdout
+
+
 def test_the_front_door_hides_its_names_from_completion() -> None:
     import fringebench
 
