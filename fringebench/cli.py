@@ -181,7 +181,15 @@ def render_scene(
         traced = {"samples": transport.samples, "depth": transport.depth}
         light = figures(transport)
         _print_json(written | traced | ({"light": light} if light else {}))
-    elif light := figures(transport):
+        return
+    channels = sum(len(basis.channels) for basis in transport.bases)
+    rows, columns = transport.ambient.shape
+    sys.stdout.write(
+        f"{output}: {columns} x {rows} px, {channels} channels, {transport.samples} samples per pixel\n"
+    )
+    if truth:
+        sys.stdout.write(f"{truth}: {', '.join(transport.labels)}\n")
+    if light := figures(transport):
         _console().print(told(light), highlight=False, soft_wrap=True)
 
 
@@ -225,6 +233,10 @@ def expose(
     if as_json:
         levels = {"exposure_ms": stack.exposure_ms, "saturation_dn": stack.saturation_dn}
         _print_json({"stack": str(output), "shape": stack.frames.shape} | levels)
+        return
+    times = ", ".join(f"{time:.4g}" for time in stack.exposure_ms)
+    frames, rows, columns = stack.frames.shape[1:]
+    sys.stdout.write(f"{output}: {frames} frames at {times} ms, {columns} x {rows} px\n")
 
 
 @app.command(
@@ -277,6 +289,11 @@ def decode_stack(
     if as_json:
         told = {"reasons": reconstruction.reason_fractions(), "settings": reconstruction.settings}
         _print_json({"reconstruction": str(output)} | told)
+        return
+    shares = dict(reconstruction.reason_fractions())
+    measured = f"{shares.pop('ok'):.1%} of the pixels measured"
+    lost = "".join(f"; {reason} {share:.2%}" for reason, share in shares.items())
+    sys.stdout.write(f"{output}: {measured}{lost}\n")
 
 
 @app.command(epilog="Example: fringebench evaluate reconstruction.exr truth.exr --json")

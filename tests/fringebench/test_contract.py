@@ -170,6 +170,20 @@ def test_numbers_of_numpy_are_taken_and_then_cannot_be_written(tmp_path: Path) -
     assert decode.Reconstruction.read(file).settings == settings
 
 
+def test_a_stage_ends_without_a_word_of_what_it_made(run: Run, tmp_path: Path) -> None:
+    said = run("render", "step", *SMALL, "--truth", "g.exr").stdout.splitlines()
+    assert said == [
+        "transport.exr: 64 x 48 px, 7 channels, 2 samples per pixel",
+        "g.exr: base, step",
+    ]
+    said = run("expose", "transport.exr", "--exposure-ms", "2", "--exposure-ms", "0.5").stdout
+    assert said == "stack.exr: 12 frames at 2, 0.5 ms, 64 x 48 px\n"
+    measured, *lost = run("decode", "stack.exr").stdout.removesuffix("\n").split("; ")
+    shares = decode.Reconstruction.read(tmp_path / "reconstruction.exr").reason_fractions()
+    assert measured == f"reconstruction.exr: {shares['ok']:.1%} of the pixels measured"
+    assert lost == [f"{name} {share:.2%}" for name, share in shares.items() if name != "ok"]
+
+
 def test_a_path_that_is_told_is_broken_in_two_or_loses_its_brackets(run: Run) -> None:
     folder = "[red]" + "long-" * 30
     done = run("run", "step", *SMALL, "-o", folder)
