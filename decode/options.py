@@ -1,6 +1,7 @@
 """How a stack is decoded: every choice, validated."""
 
 from dataclasses import dataclass, fields
+from numbers import Integral, Real
 from operator import index
 from typing import Any, Literal, get_args
 
@@ -18,6 +19,17 @@ Unwrap = Literal["temporal", "row-scan", "quality-guided"]
 Anchor = Literal["gray", "volume", "field", "spatial"]
 Height = Literal["triangulation", "reference-plane", "linear", "phase"]
 Roi = tuple[int, int, int, int] | NDArray[np.bool_]
+
+# What options that are numbers may be, NumPy's own included.
+TYPES: tuple[tuple[tuple[type, ...], tuple[str, ...], str], ...] = (
+    ((Integral,), ("exposure", "projector"), "a whole number"),
+    (
+        (Real,),
+        ("c_px_per_mm", "min_modulation_dn", "min_relative_modulation", "max_order_residual"),
+        "a number",
+    ),
+    ((Real, str), ("gamma",), "a number, or 'estimate'"),
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,6 +81,7 @@ class Options:
             if value not in allowed:
                 known = [a for a in allowed if a is not None]
                 raise DecodeError(f"{name} is {value!r}: {nearest(str(value), known)}")
+        self._require_types()
         if self.exposure is not None and self.fusion != "single":
             raise DecodeError(
                 f"exposure {self.exposure} is given, but fusion is {self.fusion!r}: use fusion='single'"
@@ -84,17 +97,25 @@ class Options:
                 f"min_relative_modulation is {self.min_relative_modulation}: use a fraction from 0 to less than 1"
             )
         if self.height_range_mm is not None and not (
-            len(self.height_range_mm) == 2 and self.height_range_mm[0] < self.height_range_mm[1]
+            np.shape(self.height_range_mm) == (2,)
+            and self.height_range_mm[0] < self.height_range_mm[1]
         ):
             raise DecodeError(
                 f"height_range_mm is {self.height_range_mm}: give the lowest and the highest height, in that order"
             )
         if isinstance(self.gamma, str) and self.gamma != "estimate":
             raise DecodeError(f"gamma is {self.gamma!r}: give a number, or 'estimate'")
-        if isinstance(self.gamma, (int, float)) and not 0.2 <= self.gamma <= 5.0:
+        if isinstance(self.gamma, Real) and not 0.2 <= self.gamma <= 5.0:
             raise DecodeError(f"gamma is {self.gamma}: use 0.2 to 5")
         if self.reference is not None and self.height != "reference-plane":
             raise DecodeError("a reference is given: use height='reference-plane' with it")
+
+    def _require_types(self) -> None:
+        for allowed, names, told in TYPES:
+            for name in names:
+                value = getattr(self, name)
+                if value is not None and not isinstance(value, allowed):
+                    raise DecodeError(f"{name} is {value!r}: give {told}")
 
     @classmethod
     def of(cls, choices: dict[str, Any]) -> "Options":

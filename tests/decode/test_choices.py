@@ -72,6 +72,14 @@ def test_region_of_interest_has_the_full_decodes_values(
         ({"max_order_residual": 0.7}, "at most 0.5"),
         ({"height": "linear", "c_px_per_mm": 0.0}, "not 0"),
         ({"backend": "metal"}, "backend is 'metal'"),
+        ({"fusion": "single", "exposure": 1.0}, "exposure is 1.0: give a whole number"),
+        ({"projector": "first"}, "projector is 'first': give a whole number"),
+        ({"min_modulation_dn": "20"}, "min_modulation_dn is '20': give a number"),
+        ({"min_relative_modulation": [0.1]}, "give a number"),
+        ({"c_px_per_mm": "4"}, "c_px_per_mm is '4': give a number"),
+        ({"gamma": [2.2]}, "give a number, or 'estimate'"),
+        ({"gamma": np.float32(9.0)}, "use 0.2 to 5"),
+        ({"height_range_mm": 3.0}, "lowest and the highest"),
     ],
 )
 def test_impossible_choices_are_refused_with_the_way_out(
