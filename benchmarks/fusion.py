@@ -16,6 +16,8 @@ from scenes.sensor import Emva
 from scenes.stack import Stack
 
 TARGET = Target("ratio", "at least", 0.5)
+# A plane of this size in float32 is a multiple of 128 KiB, as a camera's may be: all 48 then meet in the same set of 16 lines
+# of the second-level cache. With 64 bytes between planes `single` takes a fifth less time, the rules below 2 to 11 %.
 COLUMNS, ROWS = 2448, 2048
 C_PX_PER_MM, HEIGHTS_MM = 4.0, (0.0, 180.0)
 TIMES_MS = (0.25, 1.0, 4.0, 16.0)
