@@ -24,26 +24,13 @@ from scenes.patterns import Axis
 
 @dataclass(frozen=True)
 class Pixels:
-    """The camera pixels a kernel decodes, one lane each: a rectangle of the image."""
+    """The camera's pixels, one lane each."""
 
     device: Device
-    box: tuple[int, int, int, int]
-    """row0, row1, col0, col1; the ends are exclusive."""
     image: tuple[int, int]
-    """Rows and columns of the whole image."""
+    """Rows and columns."""
     real: Any
     """Type of geometry's lanes: float64 to measure, float32 to choose."""
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns decoded."""
-        row0, row1, col0, col1 = self.box
-        return row1 - row0, col1 - col0
-
-    @property
-    def whole(self) -> bool:
-        """Whether the box is the whole image."""
-        return self.shape == self.image
 
     def coarse(self) -> "Pixels":
         """The same pixels in float32: enough to choose a fringe order, and cheaper."""
@@ -66,30 +53,18 @@ class Pixels:
         rough = real(1.0 / single(value))
         return rough * (2.0 - value * rough)
 
-    def _row_col(self) -> tuple[Lanes, Lanes]:
-        rows, columns = self.shape
+    def centres(self) -> tuple[Lanes, Lanes]:
+        """Continuous column and row coordinates of the pixel centres."""
+        rows, columns = self.image
         types = self.device.types
         lane = self.device.dr.arange(types.UInt32, rows * columns)
         row = lane // columns
-        return row + self.box[0], lane - row * columns + self.box[2]
-
-    def flat(self) -> Lanes | None:
-        """Flat indices into the whole image, or None for all of it in order."""
-        if self.whole:
-            return None
-        row, col = self._row_col()
-        return row * self.image[1] + col
-
-    def centres(self) -> tuple[Lanes, Lanes]:
-        """Continuous column and row coordinates of the pixel centres."""
-        row, col = self._row_col()
-        return self.real(col) + 0.5, self.real(row) + 0.5
+        return self.real(lane - row * columns) + 0.5, self.real(row) + 0.5
 
     def image_lanes(self, values: NDArray[np.float64]) -> Lanes:
-        """A float64 image (row, col) of the whole camera, at these pixels."""
-        row0, row1, col0, col1 = self.box
-        part = np.ascontiguousarray(values[row0:row1, col0:col1], dtype=np.float64)
-        return self.real(self.device.types.Float64(padded(part.reshape(-1))))
+        """A float64 image (row, col)."""
+        whole = np.ascontiguousarray(values, dtype=np.float64)
+        return self.real(self.device.types.Float64(padded(whole.reshape(-1))))
 
 
 class Solver(ABC):

@@ -144,14 +144,14 @@ class Options:
         rule = self.fusion if isinstance(self.fusion, str) else repr(self.fusion)
         return {"fusion": rule} | {name: getattr(self, name) for name in named + limits}
 
-    def box(self, image: tuple[int, int]) -> tuple[int, int, int, int]:
-        """Smallest rectangle around the region of interest, row0, row1, col0, col1.
+    def region(self, image: tuple[int, ...]) -> NDArray[np.bool_] | None:
+        """The region of interest, (row, col), of an image of that many rows and columns; None: all of it.
 
-        Raises `DecodeError` if the region is empty or not inside the image (rows, columns).
+        Raises `DecodeError` if the region is empty or not inside the image.
         """
-        rows, columns = image
         if self.roi is None:
-            return 0, rows, 0, columns
+            return None
+        rows, columns = image
         if isinstance(self.roi, np.ndarray):
             if self.roi.shape != image or self.roi.dtype != np.bool_:
                 raise DecodeError(
@@ -159,9 +159,7 @@ class Options:
                 )
             if not self.roi.any():
                 raise DecodeError("the roi mask is empty: set at least one pixel")
-            there = [np.flatnonzero(self.roi.any(axis=k)) for k in (1, 0)]
-            (row0, row1), (col0, col1) = ((int(at[0]), int(at[-1]) + 1) for at in there)
-            return row0, row1, col0, col1
+            return self.roi
         try:
             row0, row1, col0, col1 = (index(edge) for edge in self.roi)
         except (TypeError, ValueError) as error:
@@ -173,7 +171,9 @@ class Options:
                 f"roi (row0, row1, col0, col1) = {row0, row1, col0, col1} is empty or leaves the image: "
                 f"rows are 0 to {rows}, columns 0 to {columns}, ends exclusive"
             )
-        return row0, row1, col0, col1
+        inside = np.zeros((rows, columns), np.bool_)
+        inside[row0:row1, col0:col1] = True
+        return inside
 
 
 CHOICES: dict[str, tuple[str | None, ...]] = {

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from decode import fusion, gamma, gray, shadow, unwrap, validity
+from decode import fusion, gamma, gray, ordering, shadow, unwrap, validity
 from decode.device import Device, Lanes
 from decode.geometry import view_of
 from decode.height import Pixels, Solver
@@ -21,9 +21,6 @@ from scenes.errors import DecodeError
 from scenes.memory import room_for
 from scenes.patterns import Axis
 from scenes.stack import Stack
-
-# What stands outside the region of interest; NaN or 0 in the other images.
-OUTSIDE = {"reason": int(Reason.OUTSIDE_ROI), "exposure": fusion.MERGED}
 
 # Memory per pixel of what comes out, as measured; frames are read in place.
 PIXEL_BYTES = 24
@@ -41,6 +38,7 @@ def reconstruct(stack: Stack, **choices: Any) -> Reconstruction:
     """
     options = Options.of(choices)
     _check_size(stack)
+    region = options.region(stack.frames.shape[2:])
     projectors = sorted({frame.projector for frame in stack.patterns})
     if options.projector is not None:
         projectors = [options.projector]
@@ -64,6 +62,8 @@ def reconstruct(stack: Stack, **choices: Any) -> Reconstruction:
             found = _Kernel(plan, device, rule).decode()
         best = found if best is None else _better(best, found)
     assert best is not None  # a stack has at least one frame, so one projector
+    if region is not None:
+        best = _within(best, region)
     # some pixels first, which settle it nearly always
     if best.reason[::16, ::16].min() != Reason.OK and best.reason.min() != Reason.OK:
         shares = ", ".join(
@@ -132,6 +132,35 @@ def _better(one: Reconstruction, two: Reconstruction) -> Reconstruction:
     return replace(one, phases=phases, **merged)
 
 
+def _within(rec: Reconstruction, region: NDArray[np.bool_]) -> Reconstruction:
+    """The region of interest of a whole decode.
+
+    Orders found by a scan, and shadow, hang on what lies around; and laying a region out takes longer than decoding all.
+    """
+
+    def kept(image: NDArray[Any], outside: float = np.nan) -> NDArray[Any]:
+        if not image.flags.writeable:
+            return np.where(region, image, np.asarray(outside, image.dtype))
+        np.copyto(image, outside, where=out, casting="unsafe")
+        return image
+
+    out = ~region
+
+    return replace(
+        rec,
+        height_mm=kept(rec.height_mm),
+        sigma_mm=kept(rec.sigma_mm),
+        modulation_dn=kept(rec.modulation_dn),
+        offset_dn=kept(rec.offset_dn),
+        reason=kept(rec.reason, Reason.OUTSIDE_ROI),
+        exposure=kept(rec.exposure, fusion.MERGED),
+        phases={
+            axis: AxisPhase(phase.period_px, kept(phase.wrapped_rad), kept(phase.order, 0))
+            for axis, phase in rec.phases.items()
+        },
+    )
+
+
 @dataclass(frozen=True)
 class _Decoded:
     """One axis, as lanes."""
@@ -146,8 +175,8 @@ class _Decoded:
     """Predicted standard deviation of the coordinate."""
     lost: Lanes | None = None
     """Where samples are NaN or infinite."""
-    least: float | None = None
-    """`shadow.level` below which light is stray, if that can be told."""
+    typical: float | None = None
+    """`shadow.typical` light, if stray light is to be told by it."""
     lit: Lanes | None = None
     """Where the light is the projector's own, as far as each pixel tells by itself."""
 
@@ -162,12 +191,7 @@ class _Kernel:
         self.limits = Limits(
             plan.options.min_modulation_dn, plan.options.max_order_residual, plan.volume_mm
         )
-        self.box = plan.options.box(self.image)
-        # a scan must see the whole image, or the region's orders would depend on the region
-        whole = (0, rows, 0, columns)
-        self.pixels = Pixels(
-            device, whole if plan.scans else self.box, self.image, device.types.Float64
-        )
+        self.pixels = Pixels(device, self.image, device.types.Float64)
 
     def decode(self) -> Reconstruction:
         """Trace the kernel, run it, and hand out its images."""
@@ -201,16 +225,13 @@ class _Kernel:
         for axis, decoded in axes.items():
             lanes[f"{axis}.wrapped"] = decoded.wrapped_rad
             lanes[f"{axis}.order"] = decoded.order
-        images = self._images(lanes)
+        self.device.dr.eval(list(lanes.values()))
+        images = {name: self._host(values) for name, values in lanes.items()}
         reason = images["reason"]
         # the greatest code first: without the comparison's image, which costs a fifth of all decoding
         shadow_found = reason.max() >= Reason.SHADOW and (reason == Reason.SHADOW).any()
-        # a region must not have other shadows than the image: what lies around it counts
-        if measured.least and (plan.options.roi is not None or shadow_found):
-            open_to_doubt = (reason != Reason.SATURATED) & (reason != Reason.NOT_A_NUMBER)
-            open_to_doubt &= reason != Reason.OUTSIDE_ROI
-            shade = self._shade(measured.least) & open_to_doubt
-            images["reason"] = np.where(shade, np.uint8(Reason.SHADOW), reason)
+        if measured.typical and shadow_found:
+            images["reason"] = self._shaded(images, measured, measured.typical)
         phases = {
             axis: AxisPhase(
                 decoded.period_px, images.pop(f"{axis}.wrapped"), images.pop(f"{axis}.order")
@@ -234,7 +255,7 @@ class _Kernel:
         sets, rungs = plan.sets[axis], plan.rungs(axis, way)
         if way in ("row-scan", "quality-guided"):
             sets, rungs = sets[-1:], single([sets[-1].period_px])
-        samples = [self._samples(fringes, self.pixels.flat()) for fringes in sets]
+        samples = [self._samples(fringes) for fringes in sets]
         cell = self._cell(axis, samples) if way == "gray" else None
         if not sets:
             assert cell is not None  # an axis has fringes or Gray code
@@ -273,22 +294,23 @@ class _Kernel:
         )
 
     def _lit(self, samples: fusion.Samples) -> tuple[float, Lanes] | tuple[()]:
-        """Least light that is not stray, and where there is more; the image's typical light comes from a coarse grid,
-        whatever the region.
-        """
+        """The image's typical light, from a coarse grid, and where there is more than stray light has."""
         fraction = self.plan.options.min_relative_modulation
         if not fraction:
             return ()
         types = self.device.types
         at = types.UInt32(shadow.grid(self.image))
-        levels = shadow.level(self._samples(samples.fringes, at)).numpy()
-        least = fraction * shadow.typical(levels)
-        return least, shadow.level(samples) >= self.device.dr.opaque(types.Float, least)
+        typical = shadow.typical(shadow.level(self._samples(samples.fringes, at)).numpy())
+        least = self.device.dr.opaque(types.Float, fraction * typical)
+        return typical, shadow.level(samples) >= least
 
-    def _shade(self, least: float) -> NDArray[np.bool_]:
-        """Where shadow is known by what borders on it, (row, col): of the whole image, whatever the region."""
+    def _shaded(
+        self, images: dict[str, NDArray[Any]], measured: _Decoded, typical: float
+    ) -> NDArray[np.uint8]:
+        """Reasons, (row, col), with the shadow that is known by what borders on it, or by what contradicts it."""
+        least = self.plan.options.min_relative_modulation * typical
         dr, types = self.device.dr, self.device.types
-        samples = self._samples(self.plan.sets[self.plan.axis][-1], None)
+        samples = self._samples(self.plan.sets[self.plan.axis][-1])
         levels = shadow.level(samples)
         phasor = self.rule.fuse(samples)
         # clipped light is no shadow; NaN, and what float32 cannot square, is neither shadow nor light
@@ -300,8 +322,43 @@ class _Kernel:
             dr.select(real, types.UInt32(0), types.UInt32(shadow.NOTHING)),
         )
         dr.eval(levels, what)
-        found, where = (lanes.numpy().reshape(self.image) for lanes in (levels, what))
-        return shadow.borders(found, where == shadow.DARK, where == shadow.NOTHING, least)
+        level, where = self._host(levels), self._host(what)
+        nothing = where == shadow.NOTHING
+        shade = shadow.borders(level, where == shadow.DARK, nothing, least)
+        reason = images["reason"]
+        shade &= (reason != Reason.SATURATED) & (reason != Reason.NOT_A_NUMBER)
+        reason = np.where(shade, np.uint8(Reason.SHADOW), reason)
+        trusted = reason == Reason.OK
+        stray = self._contradicted(trusted, images["height_mm"], measured, level, typical)
+        reason[stray] = Reason.SHADOW
+        return reason
+
+    def _contradicted(
+        self,
+        trusted: NDArray[np.bool_],
+        height_mm: NDArray[np.float32],
+        measured: _Decoded,
+        level: NDArray[np.float32],
+        typical: float,
+    ) -> NDArray[np.bool_]:
+        """Which trusted pixels others contradict, (row, col); none where the rig is unknown."""
+        plan, device, types = self.plan, self.device, self.device.types
+        heights = plan.volume_mm
+        if plan.model is not None and trusted.any():
+            found = height_mm[trusted]
+            heights = float(found.min()), float(found.max())
+        if plan.view is None or heights is None:
+            return np.zeros(self.image, np.bool_)
+        at = types.Float(
+            unwrap.coordinate(device, measured.wrapped_rad, measured.order, measured.period_px)
+        )
+        margin = ordering.SURE * measured.sigma_px
+        told = device.plane(trusted.view(np.uint8)) > 0.5
+        least = device.dr.select(told, at - margin, float("-inf"))
+        most = device.dr.select(told, at + margin, float("inf"))
+        device.dr.eval(least, most)
+        claims = ordering.Claims(self._host(least), self._host(most), level, typical)
+        return ordering.contradicted(claims, plan.view.rig, plan.axis, heights)
 
     def _phase(self, fringes: FringeSet, phasor: Phasor) -> Lanes:
         """Wrapped phase, gamma undone."""
@@ -311,7 +368,7 @@ class _Kernel:
 
     def _cell(self, axis: Axis, samples: list[fusion.Samples]) -> gray.GrayCell:
         """The Gray cell of every pixel; where the code has no thresholds of its own, the fringes' offset serves."""
-        stack, at = self.plan.stack, self.pixels.flat()
+        stack = self.plan.stack
         offsets = None
         if samples:
             offsets = [samples[-1].phasor(e).offset for e in range(len(stack.exposure_ms))]
@@ -319,7 +376,7 @@ class _Kernel:
             self.device,
             self.plan.gray[axis],
             stack,
-            lambda image: self.device.plane(image, at),
+            self.device.plane,
             offsets,
             # cells of half a fringe are many pixels wide, and the fringe tells whether the code is right
             weak=0.0 if samples else gray.WEAK,
@@ -385,7 +442,7 @@ class _Kernel:
             lost = lost | ~self.device.dr.isfinite(phasor.offset)
         return lost
 
-    def _samples(self, fringes: FringeSet, at: Lanes | None) -> fusion.Samples:
+    def _samples(self, fringes: FringeSet, at: Lanes | None = None) -> fusion.Samples:
         """Samples of the pixels with flat indices `at`; None: of the whole image."""
         stack = self.plan.stack
         reject = self.plan.options.saturation == "reject"
@@ -446,42 +503,8 @@ class _Kernel:
         return types.Int32(orders.reshape(-1))
 
     def _host(self, values: Lanes) -> NDArray[Any]:
-        """Lanes as an image of the pixels decoded; one value for all of them is seen as one, and is read-only."""
+        """Lanes as an image; one value for all of them is seen as one, and is read-only."""
         found = np.asarray(values.numpy())
         if found.size == 1:
-            return np.broadcast_to(found, self.pixels.shape)
-        return found.reshape(self.pixels.shape)
-
-    def _images(self, lanes: dict[str, Lanes]) -> dict[str, NDArray[Any]]:
-        """Lanes as images of the whole frame; outside the region of interest NaN, 0 or the code that says so.
-
-        The frame is laid out by Dr.Jit, whose pool hands the same memory out again: fresh pages from the system would
-        cost more time than decoding.
-        """
-        dr, roi = self.device.dr, self.plan.options.roi
-        if roi is None:
-            dr.eval(list(lanes.values()))
-            return {name: self._host(values) for name, values in lanes.items()}
-        inside = self._inside(roi)
-        whole = {}
-        for name, values in lanes.items():
-            kind = type(values)
-            fill = OUTSIDE.get(name, float("nan") if dr.is_float_v(kind) else 0)
-            if self.pixels.whole:
-                whole[name] = dr.select(inside, values, kind(fill))
-            else:
-                whole[name] = dr.full(kind, fill, self.image[0] * self.image[1])
-                dr.scatter(whole[name], values, self.pixels.flat(), inside)
-        dr.eval(list(whole.values()))
-        return {name: values.numpy().reshape(self.image) for name, values in whole.items()}
-
-    def _inside(self, roi: Any) -> Lanes:
-        """Which of the decoded pixels are in the region of interest."""
-        if isinstance(roi, np.ndarray):
-            row0, row1, col0, col1 = self.pixels.box
-            return self.device.plane(roi[row0:row1, col0:col1].astype(np.uint8)) > 0.5
-        if not self.pixels.whole:
-            return self.device.types.Bool(True)
-        row0, row1, col0, col1 = self.box
-        column, row = self.pixels.coarse().centres()
-        return (row > row0) & (row < row1) & (column > col0) & (column < col1)
+            return np.broadcast_to(found, self.image)
+        return found.reshape(self.image)

@@ -131,11 +131,6 @@ class Plan:
         """How each axis is unwrapped. Raises `DecodeError` if it cannot be as asked."""
         return {axis: self._way(axis) for axis in self.sets}
 
-    @property
-    def scans(self) -> bool:
-        """Whether an axis is scanned over the image, which must then be decoded whole."""
-        return any(way not in ("gray", "volume", "field") for way in self.ways.values())
-
     def levels(self, axis: Axis) -> Way | None:
         """What fixes orders pixel by pixel where the finest fringes are scanned, and so tells the scan's whole turns."""
         if self.ways[axis] not in ("row-scan", "quality-guided"):

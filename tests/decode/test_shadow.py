@@ -58,13 +58,14 @@ def test_saturation_stays_saturation() -> None:
     assert (rec.reason[:8, 40:48] == decode.Reason.SATURATED).all()
 
 
-def striped(*shares: tuple[slice, float]) -> Stack:
-    """A white board, 1 mm too high, with columns that send back a share of its light."""
+def striped(*shares: tuple[slice, float], prints: tuple[tuple[slice, float], ...] = ()) -> Stack:
+    """A white board with columns that send back a share of its light, prints at its height and the others 1 mm higher."""
     albedo = np.ones((48, 64))
-    for columns, part in shares:
-        albedo[:, columns] = part
     height = hills(top_mm=0.5)
-    height[:, [k for k in range(64) if albedo[0, k] < 1.0]] += 1.0
+    for columns, part in (*shares, *prints):
+        albedo[:, columns] = part
+    for columns, _ in shares:
+        height[:, columns] += 1.0
     patterns = PhaseShift(periods_px=(16.0, 80.0))
     made = calibrated_stack(rig(), height, patterns, offset=100 * albedo, modulation=80 * albedo)
     rng = np.random.default_rng(0)
@@ -74,11 +75,11 @@ def striped(*shares: tuple[slice, float]) -> Stack:
 
 def test_brighter_stray_light_that_touches_shadow_is_valid_or_dark_ink_is_shadow() -> None:
     core, fringe, ink = slice(20, 24), slice(24, 27), slice(40, 44)
-    rec = decode.reconstruct(striped((core, 0.01), (fringe, 0.035), (ink, 0.035)))
+    rec = decode.reconstruct(striped((core, 0.01), (fringe, 0.035), prints=((ink, 0.035),)))
     assert (rec.reason[:, 20:27] == decode.Reason.SHADOW).all()
     assert rec.valid[:, ink].all()
     # black ink beside a shadow is brighter than that, as long as it is wide enough not to be an edge
-    beside = decode.reconstruct(striped((core, 0.01), (slice(24, 30), 0.06)))
+    beside = decode.reconstruct(striped((core, 0.01), prints=((slice(24, 30), 0.06),)))
     assert beside.valid[:, 24:30].all()
 
 
@@ -87,13 +88,12 @@ def test_a_pixel_across_the_edge_of_a_shadow_takes_the_height_of_its_lit_part(
     share: float, lit: bool
 ) -> None:
     core, edge, far = slice(20, 24), slice(24, 25), slice(44, 45)
-    rec = decode.reconstruct(striped((core, 0.01), (edge, share), (far, share)))
+    stack = striped((core, 0.01), (edge, share), prints=((far, share),))
+    rec = decode.reconstruct(stack)
     assert (rec.valid[:, edge] == lit).all()
     # as dim a line that borders on no shadow is print
     assert rec.valid[:, far].all()
-    part = decode.reconstruct(
-        striped((core, 0.01), (edge, share), (far, share)), roi=(5, 20, 24, 30)
-    )
+    part = decode.reconstruct(stack, roi=(5, 20, 24, 30))
     assert np.array_equal(part.reason[5:20, 24:30], rec.reason[5:20, 24:30])
 
 

@@ -1,0 +1,216 @@
+"""Stray light too bright to be told by its amount: where it claims to lie, light could not have come."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import ndimage
+
+import decode
+from decode import ordering
+from decode.geometry import Rig, view_of
+from scenes.calibration import Calibration
+from scenes.patterns import PhaseShift
+from scenes.stack import Stack
+from tests.decode.synthetic import calibrated_stack, rig
+
+Map = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+SHAPE = (96, 128)
+TOP_MM = 1.5
+BLOCK = np.s_[28:68, 60:88]
+# what `shadow` finds by its amount, far from all else: an image without any shadow is not looked at again
+DARK = np.s_[88:94, 4:12]
+RIGS = [("telecentric", "telecentric"), ("pinhole", "telecentric"), ("pinhole", "pinhole")]
+
+
+def hidden(calibration: Calibration, height_mm: Map) -> Mask:
+    """(row, col): which points of a surface something stands before, on their way to the projector."""
+    camera, projector = (d.projection() for d in (calibration.camera, calibration.projectors[0]))
+    origin, direction = camera.rays(camera.pixel_centres())
+    distance = (height_mm - origin[..., 2]) / direction[..., 2]
+    points = origin + distance[..., None] * direction
+    light = -projector.axis if projector.telecentric else projector.origin_mm - points
+    light = light / light[..., 2:]
+    found = np.zeros(height_mm.shape, np.bool_)
+    for rise in np.linspace(0.02, TOP_MM + 0.1, 160):
+        pixels, _ = camera.project(points + rise * light)
+        column, row = np.floor(np.moveaxis(pixels, -1, 0)).astype(int)
+        inside = (column >= 0) & (column < SHAPE[1]) & (row >= 0) & (row < SHAPE[0])
+        there = height_mm[row.clip(0, SHAPE[0] - 1), column.clip(0, SHAPE[1] - 1)]
+        found |= inside & (there > height_mm + rise + 1e-6)
+    return found
+
+
+def scene(
+    calibration: Calibration, claimed_mm: float, share: float = 0.2, ink: Mask | None = None
+) -> tuple[Stack, Mask]:
+    """A block on a board; its shadow sends back a share of the light and claims a height. And where the shadow is."""
+    height = np.zeros(SHAPE)
+    height[BLOCK] = TOP_MM
+    shade = hidden(calibration, height)
+    albedo = np.where(shade, share, 1.0)
+    albedo[DARK] = 0.01
+    if ink is not None:
+        albedo[ink & ~shade] = share
+    height[shade] = claimed_mm
+    patterns = PhaseShift(periods_px=(16.0, 80.0))
+    stack = calibrated_stack(
+        calibration,
+        height,
+        patterns,
+        sigma_dn=0.2,
+        offset=120 * albedo,
+        modulation=100 * albedo,
+    )
+    return stack, shade
+
+
+# at the board's own height, right by accident; at the block's; below the board
+@pytest.mark.parametrize("claimed_mm", [0.0, TOP_MM, -0.3])
+@pytest.mark.parametrize("models", RIGS)
+def test_bright_stray_light_in_a_shadow_is_valid(
+    models: tuple[str, str], claimed_mm: float
+) -> None:
+    calibration = rig(*models, size=SHAPE[::-1])
+    stack, shade = scene(calibration, claimed_mm)
+    rec = decode.reconstruct(stack)
+    # order says nothing of pixels nearer than two to the light they claim
+    core = ndimage.binary_erosion(shade, iterations=2)
+    assert core.sum() > 40
+    assert (rec.reason[core] == decode.Reason.SHADOW).all()
+    lit = ~shade
+    lit[DARK] = False
+    assert rec.valid[lit].all()
+    assert decode.reconstruct(stack, min_relative_modulation=0.0).valid[shade].all()
+
+
+def test_dim_print_beside_a_block_is_shadow() -> None:
+    everywhere = np.ones(SHAPE, np.bool_)
+    everywhere[BLOCK] = False
+    everywhere[:, :40] = False
+    stack, shade = scene(rig(size=SHAPE[::-1]), 0.0, ink=everywhere)
+    rec = decode.reconstruct(stack)
+    lit = ~shade
+    lit[DARK] = False
+    assert rec.valid[lit].all()
+
+
+def test_a_board_that_is_lit_beneath_a_lead_in_the_air_is_shadow() -> None:
+    """Out of order with the lead, and as bright as board is."""
+    stack, shade = scene(rig(size=SHAPE[::-1]), 0.0, share=0.6)
+    assert decode.reconstruct(stack).valid[shade].all()
+
+
+def test_shadow_found_by_order_depends_on_the_region() -> None:
+    stack, shade = scene(rig(size=SHAPE[::-1]), 0.0)
+    full = decode.reconstruct(stack)
+    rows, columns = np.nonzero(shade)
+    roi = int(rows.min()), int(rows.max()), int(columns.min()) + 1, int(columns.max())
+    part = decode.reconstruct(stack, roi=roi)
+    inside = np.s_[roi[0] : roi[1], roi[2] : roi[3]]
+    assert (full.reason[inside] == decode.Reason.SHADOW).any()
+    assert np.array_equal(part.reason[inside], full.reason[inside])
+
+
+@pytest.mark.parametrize("choices", [{"height": "phase"}, {"height": "linear"}])
+def test_stray_light_is_valid_where_other_heights_are_asked_for(choices: dict[str, str]) -> None:
+    stack, shade = scene(rig(size=SHAPE[::-1]), 0.0)
+    rec = decode.reconstruct(stack, **choices)
+    assert (rec.reason[ndimage.binary_erosion(shade, iterations=2)] == decode.Reason.SHADOW).all()
+
+
+def test_noise_is_taken_for_disorder() -> None:
+    """Coordinates that noise swaps are in no order, and no reason for doubt."""
+    stack, _ = scene(rig(size=SHAPE[::-1]), 0.0)
+    height = np.zeros(SHAPE)
+    albedo = np.ones(SHAPE)
+    albedo[::3] = 0.3
+    albedo[DARK] = 0.01
+    # 1/10 rad in the dim rows: 0.25 px, where neighbours lie 0.6 px apart
+    noisy = calibrated_stack(
+        rig(size=SHAPE[::-1]),
+        height,
+        PhaseShift(periods_px=(16.0, 80.0)),
+        sigma_dn=4.0,
+        offset=120 * albedo,
+        modulation=100 * albedo,
+    )
+    rec = decode.reconstruct(replace(noisy, patterns=stack.patterns))
+    dim = albedo < 1.0
+    dim[84:, :16] = False
+    # beyond three standard deviations on both sides: one pair in 45 000
+    assert (rec.reason[dim] == decode.Reason.SHADOW).sum() <= 1
+
+
+def by_hand(claims: ordering.Claims, rig: Rig, heights_mm: tuple[float, float]) -> Mask:
+    """The rule, looked up pixel by pixel and step by step."""
+    lines = ordering._Lines.of(rig, "column", heights_mm, SHAPE)
+    lead, side = lines.lead, 1 - lines.lead
+    size = SHAPE[::-1]
+    found = np.zeros(SHAPE, np.bool_)
+    for row, column in np.ndindex(SHAPE):
+        light = claims.level[row, column]
+        if not light < 0.5 * claims.typical:
+            continue
+        start = np.array([column, row])
+        steps, gradients = lines.steps_at(start[None] + 0.5)
+        for way, k in ((w, k) for w in (-1, 1) for k in range(2, lines.reach + 1)):
+            exact = start + way * k * steps[0]
+            pair = {int(np.floor(exact[side] + 0.1)), int(np.ceil(exact[side] - 0.1))}
+            told = []
+            for across in pair:
+                at = [0, 0]
+                at[lead], at[side] = round(exact[lead]), across
+                inside = all(0 <= a < n for a, n in zip(at, size, strict=True))
+                there = at[1], at[0]
+                if not inside or claims.level[there] < max(0.5 * claims.typical, 2 * light):
+                    told.append(False)
+                    continue
+                off = (across - exact[side]) * gradients[0, side]
+                if way < 0:
+                    told.append(claims.least_px[there] - off > claims.most_px[row, column])
+                else:
+                    told.append(claims.most_px[there] - off < claims.least_px[row, column])
+            found[row, column] |= all(told)
+    return found
+
+
+@pytest.mark.parametrize("models", RIGS)
+def test_the_first_look_misses_what_is_out_of_order(models: tuple[str, str]) -> None:
+    calibration = rig(*models, size=SHAPE[::-1])
+    view = view_of(calibration, 0)
+    heights = (0.0, 1.0)
+    rng = np.random.default_rng(3)
+    flat = calibrated_stack(calibration, np.ones(SHAPE), PhaseShift(periods_px=(16.0, 80.0)))
+    plane = decode.reconstruct(flat).phases["column"].coordinate_px
+    coordinate = plane + ndimage.gaussian_filter(rng.normal(0, 25, SHAPE), 1.0)
+    untrusted = rng.random(SHAPE) < 0.1
+    claims = ordering.Claims(
+        np.where(untrusted, -np.inf, coordinate - 0.05).astype(np.float32),
+        np.where(untrusted, np.inf, coordinate + 0.05).astype(np.float32),
+        rng.uniform(0.1, 1.5, SHAPE).astype(np.float32),
+        1.0,
+    )
+    expected = by_hand(claims, view.rig, heights)
+    assert 30 < expected.sum() < 0.5 * expected.size
+    assert np.array_equal(ordering.contradicted(claims, view.rig, "column", heights), expected)
+
+
+def test_a_flat_board_has_lines_to_follow() -> None:
+    lines = ordering._Lines.of(view_of(rig(size=SHAPE[::-1]), 0).rig, "column", (1.0, 1.0), SHAPE)
+    assert lines.reach == 0
+
+
+def test_lines_are_followed_less_far_than_a_shadow_is_long() -> None:
+    calibration = rig(size=SHAPE[::-1])
+    short, long = (
+        ordering._Lines.of(view_of(calibration, 0).rig, "column", (0.0, top), SHAPE).reach
+        for top in (0.5, 1.0)
+    )
+    axis = calibration.projectors[0].projection().axis
+    # 16 mm over 128 pixels, along the image's longer direction of the light
+    expected = np.abs(axis[:2] / axis[2]).max() / 0.125
+    assert short == int(np.ceil(0.5 * expected - 1e-9))
+    assert long == int(np.ceil(1.0 * expected - 1e-9))
