@@ -106,7 +106,7 @@ def score(
     `outlier_mm` it is one when its error exceeds that length instead: the same yardstick for decoders that predict
     different sigmas. Features are those of `evaluation.features`.
 
-    Raises `ScoreError` when sizes differ or a parameter is out of range.
+    Raises `ScoreError` when sizes differ, there are no heights, or a parameter is out of range.
     """
     regions = region_scores(
         rec, truth, margin_px=margin_px, outlier_sigmas=outlier_sigmas, outlier_mm=outlier_mm
@@ -168,13 +168,17 @@ def scored(truth: Truth, label: str, margin_px: int = 0) -> NDArray[np.bool_]:
 def height_error_mm(rec: Reconstruction, truth: Truth) -> NDArray[np.float64]:
     """(row, col) measured minus true height; NaN where a pixel is not valid or has no truth.
 
-    Raises `ScoreError` when the two have different sizes.
+    Raises `ScoreError` when the two have different sizes, or for phases without heights.
     """
     if rec.height_mm.shape != truth.height_mm.shape:
         (rows, cols), (true_rows, true_cols) = rec.height_mm.shape, truth.height_mm.shape
         raise ScoreError(
             f"the reconstruction has {cols} x {rows} pixels, the truth {true_cols} x {true_rows}: "
             "score a reconstruction against the truth of the same scene and resolution"
+        )
+    if not np.isfinite(rec.height_mm).any():
+        raise ScoreError(
+            "the reconstruction has no height at all, only phases: decode with a calibration, or with c_px_per_mm"
         )
     measured = np.where(rec.valid, rec.height_mm, np.nan).astype(np.float64)
     return measured - truth.height_mm

@@ -252,7 +252,16 @@ def decode_stack(
         str | None, typer.Option(help="Unwrapping: temporal, row-scan, quality-guided.")
     ] = None,
     height: Annotated[
-        str | None, typer.Option(help="Height: triangulation, reference-plane, linear.")
+        str | None,
+        typer.Option(
+            help="Height: triangulation, reference-plane, linear; phase: none, phases only."
+        ),
+    ] = None,
+    c_px_per_mm: Annotated[
+        float | None,
+        typer.Option(
+            help="Fringe shift per mm of height, for a linear height without calibration."
+        ),
     ] = None,
     gamma: Annotated[
         str | None,
@@ -282,6 +291,7 @@ def decode_stack(
             fusion=fusion,
             unwrap=unwrap,
             height=height,
+            c_px_per_mm=c_px_per_mm,
             gamma=number,
             roi=roi,
         )

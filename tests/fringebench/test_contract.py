@@ -170,6 +170,31 @@ def test_numbers_of_numpy_are_taken_and_then_cannot_be_written(tmp_path: Path) -
     assert decode.Reconstruction.read(file).settings == settings
 
 
+def test_frames_without_a_calibration_cannot_be_decoded_or_phases_pass_for_heights(
+    run: Run, tmp_path: Path
+) -> None:
+    assert run("render", "step", *SMALL, "--truth", "g.exr").returncode == 0
+    assert run("expose", "transport.exr").returncode == 0
+    stack = Stack.read(tmp_path / "stack.exr")
+    dataclasses.replace(stack, calibration=None).write(tmp_path / "bare.exr")
+    assert "c_px_per_mm" in run("decode", "bare.exr").stderr
+    assert run("decode", "bare.exr", "--c-px-per-mm", "4").returncode == 0
+    rec = decode.Reconstruction.read(tmp_path / "reconstruction.exr")
+    assert np.isfinite(rec.height_mm[rec.valid]).all()
+    assert run("decode", "bare.exr", "--height", "phase").returncode == 0
+    done = run("evaluate", "reconstruction.exr", "g.exr", "-o", "scores.json")
+    assert (done.returncode, "only phases" in done.stderr) == (2, True)
+    assert not (tmp_path / "scores.json").exists()
+    for target in ("a.ply", "a.png"):
+        done = run("convert", "reconstruction.exr", "-o", target)
+        assert (done.returncode, "Traceback" in done.stderr) == (2, False)
+    for words in (("reconstruction.exr",), ("reconstruction.exr", "--truth", "g.exr")):
+        for target in ("a.html", "a.png"):
+            done = run("view", *words, "-o", target)
+            assert done.returncode in {0, 2}, done.stderr
+            assert "Traceback" not in done.stderr
+
+
 def test_a_stage_ends_without_a_word_of_what_it_made(run: Run, tmp_path: Path) -> None:
     said = run("render", "step", *SMALL, "--truth", "g.exr").stdout.splitlines()
     assert said == [
