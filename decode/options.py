@@ -69,7 +69,7 @@ class Options:
     """Modulation below which a pixel is dark. None: eight standard deviations of its noise (1/8 rad)."""
     min_relative_modulation: float = 0.02
     """Modulation per exposure time, as a fraction of the image's median, below which light is taken for stray light in
-    a shadow: black ink sends back 5 % or more of what its surroundings do. 0: never."""
+    a shadow: black ink sends back 5 % or more of what its surroundings do. 0: never, and nothing else is either."""
     max_order_residual: float = 0.25
     """How far from a whole number, in periods, a predicted order may be; 0.5 accepts all."""
     backend: Literal["llvm", "cuda"] | None = None

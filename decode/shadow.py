@@ -3,7 +3,8 @@
 Stray light carries fringes too, and a long exposure lifts them far above the noise: in an HDR stack of a board with solder
 they decode, agree over all periods, and are wrong by millimetres. What gives them away is how little light it is: a few
 hundredths of what black ink sends back. So the modulation per time of exposure is compared with the image's typical one
-(`level`, `typical`), and around the shadow thus found with its neighbours' (`borders`).
+(`level`, `typical`), and around the shadow thus found with its neighbours' (`borders`). Brighter stray light is found by where
+it claims to lie: `decode.ordering`.
 """
 
 import math

@@ -24,7 +24,8 @@ class Reason(IntEnum):
     SATURATED = 2
     """The fusion rule found no usable exposure."""
     SHADOW = 3
-    """No fringe above the noise, or light that must be stray or comes from beyond a shadow's edge: see `decode.shadow`."""
+    """No fringe above the noise, or light that must be stray or comes from beyond a shadow's edge: see `decode.shadow` and
+    `decode.ordering`."""
     DARK = 4
     """A fringe, but of too little modulation."""
     ORDER_MISMATCH = 5
