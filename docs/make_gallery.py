@@ -52,7 +52,7 @@ TEACHES = {
     "solder-grains": "Paste is no surface at this scale: heights scatter far beyond the sensor's noise.",
     "spi": "Steep walls and gaps between deposits hold the errors; bare pads are mirrors that few pixels see lit.",
     "spi-four": "What one projector leaves in shadow another lights: heights on 99.7 % of the paste, where any one of the four "
-    "alone gives 95 %, and on all of the mask between.",
+    "alone gives 94 %, and on all of the mask between.",
     "chapter": "34 µm of noise, as the chapter's formula says.",
     "chapter-dim": "Modulation 15 instead of 80 DN: 5.4 times the noise. The default threshold, eight standard deviations of "
     "phase, lets a sixth of the pixels pass; `fringebench chapter` scores all of them.",
