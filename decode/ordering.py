@@ -30,6 +30,8 @@ APART = 2
 INSIDE = 0.1
 # The epipolar lines' directions are looked at in a grid of so many pixels each way, to know where to look at all.
 GRID = 5
+# Pixels aside per pixel along: where lines are steeper they run all ways, from a projector beside the camera's own axis.
+STEEPEST = 2.0
 
 
 @dataclass(frozen=True)
@@ -161,13 +163,16 @@ class _Lines:
         if not length.any():
             return blank
         pieces, gradients, length = (a[length > 0.0] for a in (pieces, gradients, length))
+        steps = pieces / length[:, None]
+        if np.ptp(steps[:, lead]) > 0.0 or np.abs(steps[:, 1 - lead]).max() > STEEPEST:
+            return blank
         return cls(
             rig,
             axis,
             heights_mm,
             lead,
             min(math.ceil(length.max()), image[1 - lead]),
-            pieces / length[:, None],
+            steps,
             np.float32(np.abs(gradients[:, 1 - lead]).max()),
         )
 
@@ -212,10 +217,11 @@ class _Lines:
         return np.sign((piece * gradient).sum(axis=1, keepdims=True)) * piece, gradient
 
     def steps_at(self, pixels: Points) -> tuple[Points, Points]:
-        """The line's direction as in `steps`, and the coordinate's gradient, of pixels (n, 2)."""
+        """The line's direction as in `steps`, NaN where there is none, and the coordinate's gradient, of pixels (n, 2)."""
         piece, gradient = self.pieces(pixels)
         with np.errstate(divide="ignore", invalid="ignore"):
-            return piece / np.abs(piece[:, self.lead, None]), gradient
+            step = piece / np.abs(piece[:, self.lead, None])
+        return np.where(np.isfinite(step), step, np.nan), gradient
 
     def _coordinate(self, pixels: Points) -> NDArray[np.float64]:
         where, _ = self.rig.projector.project(self._between(pixels))

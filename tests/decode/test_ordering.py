@@ -12,6 +12,7 @@ from decode import ordering
 from decode.geometry import Rig, view_of
 from scenes.calibration import Calibration
 from scenes.patterns import PhaseShift
+from scenes.rig import LookAt
 from scenes.stack import Stack
 from tests.decode.synthetic import calibrated_stack, rig
 
@@ -214,3 +215,32 @@ def test_lines_are_followed_less_far_than_a_shadow_is_long() -> None:
     expected = np.abs(axis[:2] / axis[2]).max() / 0.125
     assert short == int(np.ceil(0.5 * expected - 1e-9))
     assert long == int(np.ceil(1.0 * expected - 1e-9))
+
+
+@pytest.mark.parametrize("aside_mm", [(0.0001, 0.0, 59.0), (0.5, 0.2, 50.0), (30.0, 30.0, 50.0)])
+@pytest.mark.parametrize("size", [(1, 1), (1, 40), (40, 1), (64, 48)])
+@pytest.mark.parametrize("heights_mm", [(-1e6, 1e6), (-0.5, 3.0)])
+def test_lines_that_run_all_ways_or_far_out_of_the_image_are_followed(
+    size: tuple[int, int], aside_mm: tuple[float, float, float], heights_mm: tuple[float, float]
+) -> None:
+    """A projector in the camera's own axis, or a false height: masks of such lines would be larger than memory."""
+    calibration = rig("telecentric", "pinhole", size=size)
+    pose = LookAt(origin_mm=aside_mm)
+    projector = calibration.projectors[0].model_copy(update={"pose": pose})
+    calibration = calibration.model_copy(update={"projectors": (projector,)})
+    rng = np.random.default_rng(0)
+    coordinate = rng.uniform(0, 400, size[::-1]).astype(np.float32)
+    untrusted = rng.random(size[::-1]) < 0.2
+    claims = ordering.Claims(
+        np.where(untrusted, np.float32(-np.inf), coordinate),
+        np.where(untrusted, np.float32(np.inf), coordinate),
+        rng.uniform(0, 2, size[::-1]).astype(np.float32),
+        1.0,
+    )
+    view = view_of(calibration, 0)
+    found = ordering.contradicted(claims, view.rig, "column", heights_mm)
+    assert not found[untrusted].any()
+    lines = ordering._Lines.of(view.rig, "column", heights_mm, size[::-1])
+    assert lines.reach <= max(size)
+    if lines.reach:
+        assert max(mask.size for mask in lines.masks(1)) <= (4 * max(size) + 5) ** 2
