@@ -57,7 +57,7 @@ def reconstruct(stack: Stack, **choices: Any) -> Reconstruction:
         with room_for(
             PIXEL_BYTES * columns * rows,
             f"decoding {columns} x {rows} pixels",
-            "decode regions with roi, one after the other",
+            "decode strips of the frames, each with a calibration of its own pixels",
         ):
             found = _Kernel(plan, device, rule).decode()
         best = found if best is None else _better(best, found)
