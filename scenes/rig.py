@@ -17,7 +17,12 @@ from scenes.frozen import Frozen
 Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
 Resolution = tuple[PositiveInt, PositiveInt]
-Coefficients = tuple[float, float, float, float, float]
+# No lens comes near these limits; far beyond them arithmetic overflows.
+Coefficient = Annotated[float, Field(ge=-1e12, le=1e12)]
+Coefficients = tuple[Coefficient, Coefficient, Coefficient, Coefficient, Coefficient]
+Focal = Annotated[float, Field(ge=1e-3, le=1e7)]
+Principal = Annotated[float, Field(ge=-1e7, le=1e7)]
+FieldWidth = Annotated[float, Field(ge=1e-6, le=1e7)]
 
 # Newton's method on the Brown polynomial converges quadratically; inside the monotone radius eight
 # steps reach float64 rounding from the distorted point as the start.
@@ -201,7 +206,7 @@ class Telecentric(Device):
     """Parallel rays: magnification does not depend on depth."""
 
     model: Literal["telecentric"] = "telecentric"
-    field_width_mm: PositiveFloat
+    field_width_mm: FieldWidth
     """Width of the field of view on a plane perpendicular to the axis; pixels are square."""
     lens: TelecentricLens | None = None
     """Absent: infinite depth of field."""
@@ -235,11 +240,11 @@ class Pinhole(Device):
     """OpenCV's pinhole with Brown distortion; intrinsics in this project's pixel coordinates."""
 
     model: Literal["pinhole"] = "pinhole"
-    fx_px: PositiveFloat
-    fy_px: PositiveFloat
-    cx_px: float
+    fx_px: Focal
+    fy_px: Focal
+    cx_px: Principal
     """Principal column, continuous, pixel centres at +0.5 (OpenCV's value + 0.5)."""
-    cy_px: float
+    cy_px: Principal
     calibrated_at: Resolution | None = None
     """Columns, rows the intrinsics belong to; absent: `resolution`. Other resolutions keep the field of view."""
     distortion: Coefficients = (0.0, 0.0, 0.0, 0.0, 0.0)

@@ -2,9 +2,11 @@
 
 import cv2
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from scenes.errors import SceneError
 from scenes.rig import Extrinsics, LookAt, Pinhole, Telecentric, distort, monotone_radius, undistort
 
 DISTORTION = (-0.12, 0.05, 8e-4, -5e-4, 0.01)
@@ -83,3 +85,13 @@ def test_undistorting_undoes_distorting_inside_the_monotone_radius(
     x, y = reach * np.cos(np.arange(12)), reach * np.sin(np.arange(12))
     back = undistort(*distort(x, y, coefficients), coefficients)
     np.testing.assert_allclose(back, [x, y], atol=ROUNDING)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("fx_px", 1e-300), ("fy_px", 1e300), ("cy_px", 4e84), ("distortion", (0, 0, 0, 0, 1e300))],
+)
+def test_a_lens_that_arithmetic_does_not_hold_is_refused(name: str, value: object) -> None:
+    # found by fuzzing: such a principal point in a file's header overflowed where the decoder plans
+    with pytest.raises(SceneError, match=name):
+        Pinhole(**{**pinhole(DISTORTION).model_dump(), name: value})
