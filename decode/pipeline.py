@@ -67,9 +67,10 @@ def reconstruct(stack: Stack, **choices: Any) -> Reconstruction:
         )
         if (best.reason == Reason.NOT_A_NUMBER).any():
             shares += "; frames hold NaN or infinity, which are no digital numbers"
+        least = "automatic" if options.min_modulation_dn is None else options.min_modulation_dn
         raise DecodeError(
             f"no pixel could be decoded ({shares}): check exposure times, min_modulation_dn "
-            f"({options.min_modulation_dn}), the patterns' order and the calibration"
+            f"({least}), the patterns' order and the calibration"
         )
     return best
 

@@ -60,8 +60,8 @@ def expose(
     """
     chip_seed = seed if chip_seed is None else chip_seed
     for name, value in (("seed", seed), ("chip_seed", chip_seed)):
-        if value < 0:
-            raise RenderError(f"{name} = {value}: needs a whole number from 0 up")
+        if not isinstance(value, (int, np.integer)) or value < 0:
+            raise RenderError(f"{name} = {value!r}: needs a whole number from 0 up")
     scene = transport.scene
     scene = scene.model_copy(
         update={
