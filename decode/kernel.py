@@ -49,6 +49,8 @@ class Kernel:
             plan.options.min_modulation_dn, plan.options.max_order_residual, plan.volume_mm
         )
         self.pixels = Pixels(device, self.image, device.types.Float64)
+        # started here, to be done when the rest is traced
+        self.few_levels = self._few_levels()
 
     def decode(self) -> Reconstruction:
         """Trace the kernel, run it, and hand out its images."""
@@ -150,15 +152,23 @@ class Kernel:
             *(self._lit(samples[-1]) if axis == plan.axis else ()),
         )
 
+    def _few_levels(self) -> Lanes | None:
+        """Light of a coarse grid of pixels; None if stray light is not to be told by it."""
+        sets = self.plan.sets[self.plan.axis]
+        if not (sets and self.plan.options.min_relative_modulation):
+            return None
+        at = self.device.types.UInt32(shadow.grid(self.image))
+        levels = shadow.level(self._samples(sets[-1], at))
+        self.device.dr.eval(levels)
+        return levels
+
     def _lit(self, samples: fusion.Samples) -> tuple[float, Lanes] | tuple[()]:
-        """The image's typical light, from a coarse grid, and where there is more than stray light has."""
-        fraction = self.plan.options.min_relative_modulation
-        if not fraction:
+        """The image's typical light, and where there is more than stray light has."""
+        if self.few_levels is None:
             return ()
-        types = self.device.types
-        at = types.UInt32(shadow.grid(self.image))
-        typical = shadow.typical(shadow.level(self._samples(samples.fringes, at)).numpy())
-        least = self.device.dr.opaque(types.Float, fraction * typical)
+        typical = shadow.typical(self.few_levels.numpy())
+        fraction = self.plan.options.min_relative_modulation
+        least = self.device.dr.opaque(self.device.types.Float, fraction * typical)
         return typical, shadow.level(samples) >= least
 
     def _shaded(

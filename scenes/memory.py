@@ -10,6 +10,8 @@ from scenes.errors import TooLargeError
 
 CGROUP = Path("/sys/fs/cgroup")
 GIB = 2**30
+# Version 1 of control groups says so many bytes for no limit, or nearly; version 2 says "max".
+NO_LIMIT = 2**60
 
 
 @contextmanager
@@ -59,8 +61,10 @@ def _container() -> int | None:
         ("memory/memory.limit_in_bytes", "memory/memory.usage_in_bytes", "memory/memory.stat"),
     ):
         with suppress(OSError, ValueError, KeyError):
-            stat = dict(line.split() for line in (CGROUP / cache).read_text("ascii").splitlines())
             total = int((CGROUP / limit).read_text("ascii"))
+            if total > NO_LIMIT:
+                return None  # what is used takes the system longer to say
+            stat = dict(line.split() for line in (CGROUP / cache).read_text("ascii").splitlines())
             return total - int((CGROUP / used).read_text("ascii")) + int(stat["inactive_file"])
     return None
 
