@@ -51,3 +51,7 @@ def test_scalars_stay_as_they_are_written() -> None:
         "b": "x",
         "c": [],
     }
+
+
+def test_no_tag_makes_an_object_of_pythons() -> None:
+    assert parse_yaml("a: !!python/object/apply:os.system ['false']") == {"a": ["false"]}
