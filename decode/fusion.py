@@ -63,7 +63,7 @@ class Samples:
     def _phasor(self, exposure: int) -> Phasor:
         steps = self.dn[exposure]
         mean, cosine, sine = (weighted_sum(row, steps) for row in solution(self.fringes))
-        variance, slope = self._variance_dn2(exposure, mean), self.noise[exposure][1]
+        variance, slope = self.variance_dn2(exposure, mean), self.noise[exposure][1]
         return Phasor(
             cosine=cosine,
             sine=sine,
@@ -73,16 +73,16 @@ class Samples:
             exposure=self.device.types.UInt32(exposure),
         )
 
+    def variance_dn2(self, exposure: int, mean: Lanes) -> Lanes:
+        """Variance of one exposure's samples in DN^2 at their mean, by the sensor's noise model."""
+        constant, slope = self.noise[exposure]
+        return constant + slope * self.device.positive(mean - self.black_level_dn)
+
     def modulation_variance_dn2(self, exposure: int) -> Lanes:
         """Predicted variance of one exposure's modulation: for even steps that across the phasor, ``(B sigma_phi)^2``."""
         phasor, slope = self.phasor(exposure), self.noise[exposure][1]
-        variance = self._variance_dn2(exposure, phasor.offset)
+        variance = self.variance_dn2(exposure, phasor.offset)
         return across_dn2(self.fringes, phasor.cosine, phasor.sine, variance, slope)
-
-    def _variance_dn2(self, exposure: int, mean: Lanes) -> Lanes:
-        """Variance of a sample in DN^2 at the steps' mean."""
-        constant, slope = self.noise[exposure]
-        return constant + slope * self.device.positive(mean - self.black_level_dn)
 
     def unsaturated(self, exposure: int) -> Lanes:
         """Where every step of one exposure is below saturation."""

@@ -88,8 +88,7 @@ class Kernel:
         images = {name: self._host(values) for name, values in lanes.items()}
         reason = images["reason"]
         # the greatest code first: without the comparison's image, which costs a fifth of all decoding
-        shadow_found = reason.max() >= Reason.SHADOW and (reason == Reason.SHADOW).any()
-        if measured.typical and shadow_found:
+        if measured.typical and reason.max() >= Reason.SHADOW and (reason == Reason.SHADOW).any():
             images["reason"] = self._shaded(images, measured, measured.typical)
         phases = {
             axis: AxisPhase(

@@ -59,13 +59,10 @@ def _summed(samples: Samples) -> tuple[Phasor, Lanes, Lanes]:
     for k, mask in enumerate(masks):
         phasor = samples.phasor(k)
         above = phasor.offset - samples.black_level_dn
-        constant, slope = samples.noise[k]
         cosine = cosine + dr.select(mask, phasor.cosine, 0.0)
         sine = sine + dr.select(mask, phasor.sine, 0.0)
         level = level + dr.select(mask, above, 0.0)
-        variance = variance + dr.select(
-            mask, constant + slope * samples.device.positive(above), 0.0
-        )
+        variance = variance + dr.select(mask, samples.variance_dn2(k, phasor.offset), 0.0)
         time_ms = time_ms + dr.select(mask, samples.exposure_ms[k], 0.0)
         longest_ms = dr.maximum(longest_ms, dr.select(mask, samples.exposure_ms[k], 0.0))
     total = Phasor(

@@ -12,7 +12,7 @@ from typing import Any
 
 import yaml
 
-NESTED = ValueError("nested too deeply: tables and lists within each other")
+NESTED = "nested too deeply: tables and lists within each other"
 # libyaml makes objects by recursion, on a stack that Python does not watch.
 DEEPEST_YAML = 50
 
@@ -54,7 +54,7 @@ def _yaml(text: str) -> Any:
             depth += isinstance(event, yaml.CollectionStartEvent)
             depth -= isinstance(event, yaml.CollectionEndEvent)
             if depth > DEEPEST_YAML:
-                raise NESTED
+                raise ValueError(NESTED)
         return yaml.load(text, loader)
     except yaml.YAMLError as error:
         raise ValueError(" ".join(str(error).split())) from None
@@ -93,4 +93,4 @@ def _parsed(parse: Callable[[str], Any], text: str) -> Any:
     try:
         return parse(text)
     except RecursionError:
-        raise NESTED from None
+        raise ValueError(NESTED) from None
