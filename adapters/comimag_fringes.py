@@ -59,7 +59,7 @@ def main(manifest: Path, output: Path, exposure: int) -> None:
 
 def decode(axis: str, sets: list[tuple[float, int, int]], frames: Any, size: list[int]) -> Any:
     """One axis' frames (frame, row, col, 1)."""
-    # `fringes` counts along its own X; rows are given to it as columns of a turned screen
+    # `fringes` counts along its own X; rows are given to it as columns of a turned screen.
     across, along = size if axis == "column" else size[::-1]
     setup = Fringes()
     setup.X, setup.Y, setup.D = across, along, 1

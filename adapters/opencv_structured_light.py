@@ -22,7 +22,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-# Least difference of a frame and its inverse, DN: OpenCV's default.
+# Smallest difference of a frame and its inverse, DN: OpenCV's default.
 WHITE_THRESHOLD = 5
 
 

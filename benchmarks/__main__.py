@@ -23,6 +23,7 @@ MODULES = {
     "cold": "Cold start",
     "trace": "Light, at equal samples",
     "quality": "Light, at equal phase error",
+    "noise": "Light, to half the sensor's noise",
     "large": "Light, four million pixels",
     "cost": "What the pass costs against",
     "plate": "A cap and a step on a plate",
@@ -38,7 +39,7 @@ MODULES = {
 
 
 def measured(name: str, quick: bool) -> tuple[list[Result], bool]:
-    """A benchmark's results, and whether it ran; one that fails leaves a row that says why."""
+    """Results of a benchmark, and whether it ran; one that fails gives a row with the reason."""
     module = importlib.import_module(f"benchmarks.{name}")
     try:
         return module.measure(quick), True
@@ -47,12 +48,12 @@ def measured(name: str, quick: bool) -> tuple[list[Result], bool]:
 
 
 def processor_s() -> float:
-    """Used so far by this process and by those it has waited for."""
+    """Processor time used so far by this process and its finished children, in s."""
     return sum(os.times()[:4])
 
 
 def main() -> int:
-    """Run what is asked for, print it, write it."""
+    """Run the requested benchmarks, print and write the results."""
     known = [name for name in MODULES if importlib.util.find_spec(f"benchmarks.{name}")]
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks",

@@ -1,4 +1,4 @@
-"""Cold start: what the first pass in a process costs beside a later one.
+"""Cold start: cost of the first pass in a process compared with a later one.
 
 Dr.Jit keeps compiled kernels in ~/.drjit, so a kernel is compiled once for a machine, not once for a process: the first pass
 is timed with kernels found there, and with an empty folder (as after installation).
@@ -14,7 +14,7 @@ from benchmarks.result import Result, main
 
 
 def measure(quick: bool) -> list[Result]:
-    """Imports, and the first pass with and without cached kernels, beside a later pass."""
+    """Imports, and the first pass with and without cached kernels, compared with a later pass."""
     where = f"bench, 160 x 120, 16 samples; median of {1 if quick else 3} processes"
     cached = [_timed() for _ in range(2 if quick else 4)][1:]
     empty = []
@@ -32,8 +32,8 @@ def measure(quick: bool) -> list[Result]:
 
 
 def _timed(home: Path | None = None) -> tuple[float, float, float]:
-    told = python("-m", "benchmarks.cold", "--timed", home=home)
-    times = json.loads(told.output)
+    answer = python("-m", "benchmarks.cold", "--timed", home=home)
+    times = json.loads(answer.output)
     return times["import"], times["first"], times["later"]
 
 

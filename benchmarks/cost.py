@@ -1,7 +1,8 @@
-"""What a pass, and exposing, cost against each size: ladders on the scene `cap`, with the exponent that fits.
+"""Cost of a pass, and of exposing, against each size: series on the scene `cap`, with the fitted exponent.
 
-The top rung stands beside the first. An exponent of 1 is a cost in proportion, of 0 none; it is the slope of log time against log size over the upper half of the
-ladder, where the constant part (tessellation, building the scene) weighs least.
+The largest size is compared with the smallest. An exponent of 1 is a cost in proportion, 0 a constant cost; it is the slope
+of log time against log size over the upper half of the series, where the constant part (tessellation, building the scene)
+matters least.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,8 +15,8 @@ import scenes
 from benchmarks.light import scene, seeds
 from benchmarks.result import Result, digits, main
 from benchmarks.turns import Turns, Work, take_turns
-from scenes.patterns import PhaseShift
-from scenes.shapes import Cap
+from scenes.acquisition.patterns import PhaseShift
+from scenes.shapes.solids import Cap
 
 NAME = "cap"
 PERIODS_PX = (8.0, 16.0, 32.0, 64.0, 128.0, 256.0)
@@ -69,17 +70,17 @@ def measure(quick: bool) -> list[Result]:
     return [
         _row(name, sizes, unit, take_turns([make(n) for n in sizes], rounds), where)
         for name, unit, rungs, make in ladders
-        # Quickly: the ends alone.
+        # Quick: the ends only.
         for sizes in ([rungs[0], rungs[-1]] if quick else rungs,)
     ]
 
 
 def _row(name: str, sizes: Sequence[float], unit: str, turns: Turns, where: str) -> Result:
-    """The top rung beside the first; exponents and all rungs in the note."""
+    """The largest size compared with the smallest; exponents and all sizes in the note."""
     times, processor = np.median(turns.wall_s, axis=0), np.median(turns.processor_s, axis=0)
     rungs = ", ".join(f"{n:g}: {digits(1e3 * t)} ms" for n, t in zip(sizes, times, strict=True))
     each = 1e3 * (times[-1] - times[0]) / (sizes[-1] - sizes[0])
-    return turns.beside(
+    return turns.compared(
         f"{name}: {sizes[-1]:g} {unit}",
         f"{sizes[0]:g}",
         ours=len(sizes) - 1,
@@ -91,7 +92,7 @@ def _row(name: str, sizes: Sequence[float], unit: str, turns: Turns, where: str)
 
 
 def exponent(sizes: Sequence[float], times: Sequence[float] | NDArray[np.float64]) -> float:
-    """Slope of log time against log size over the upper half of a ladder, at least its last two rungs."""
+    """Slope of log time against log size over the upper half of a series, at least its last two sizes."""
     kept = max(2, (len(sizes) + 1) // 2)
     return float(np.polyfit(np.log(sizes[-kept:]), np.log(times[-kept:]), 1)[0])
 
@@ -101,7 +102,7 @@ def _with(base: scenes.Scene, patterns: PhaseShift) -> scenes.Scene:
 
 
 def _with_triangles(base: scenes.Scene, count: int) -> scenes.Scene:
-    """The cap tessellated into so many, twice as many segments as rings."""
+    """The cap tessellated into that many triangles, with twice as many segments as rings."""
     rings = max(4, round(np.sqrt(count / 4)))
     objects = tuple(
         item.model_copy(update={"shape": item.shape.model_copy(update={"rings": rings, "segments": 2 * rings})})

@@ -4,8 +4,8 @@
     python -m benchmarks.dataset --memory 200       # resident memory of a worker over 200 small samples instead
 
 Runs alternate, one worker and then two, because other programs load a machine unevenly. Start-up (imports, first
-kernels) is left out: the clock runs from the moment each worker has made its first sample. Beside the rates stands the
-processor time a sample takes, which other programs hardly change: where it is the same for one worker and for two, only
+kernels) is left out: time is measured from the moment each worker has made its first sample. The processor time
+per sample is given next to the rates; other programs hardly change it: if it is the same for one worker and for two, only
 the number of cores limits the ratio.
 """
 
@@ -21,14 +21,14 @@ import numpy as np
 
 import scenes
 from benchmarks.result import Result, Target, main
-from fringebench.datasets.build import build
-from fringebench.datasets.plan import Plan
+from fringebench.datasets.building import build
+from fringebench.datasets.dataset_plan import DatasetPlan
 
 TARGET = Target("ratio", "at least", 1.6)
 
 
 class Clock:
-    """Notes when each sample was done, and what the workers used until then."""
+    """Records when each sample was done, and the time the workers had used until then."""
 
     def __init__(self) -> None:
         self.at_s: list[float] = []
@@ -37,12 +37,12 @@ class Clock:
         self._used: dict[int, float] = {}
 
     def __call__(self, done: int, bad: int, total: int) -> None:
-        """A sample more is done."""
+        """One more sample is done."""
         if bad:
             raise SystemExit(f"{bad} samples failed")
         if done:
             usage = {pid: _usage(pid) for pid in _children()}
-            # A worker that has no more to do is gone, what it used is not.
+            # A worker without work has ended, but what it used counts.
             self._used |= {pid: cpu for pid, (cpu, _) in usage.items()}
             self.at_s.append(time.perf_counter())
             self.cpu_s.append(sum(self._used.values()))
@@ -57,7 +57,9 @@ def run(scene: scenes.Scene, count: int, workers: int, core: int | None) -> Cloc
         if core is not None:
             os.sched_setaffinity(0, {core})
         with tempfile.TemporaryDirectory() as folder:
-            build(Plan.of(scene, count), Path(folder) / "set", workers=workers, progress=clock)
+            build(
+                DatasetPlan.of(scene, count), Path(folder) / "set", workers=workers, progress=clock
+            )
     finally:
         os.sched_setaffinity(0, cores)
     return clock

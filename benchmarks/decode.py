@@ -4,7 +4,7 @@ Same task for all: eight frames of 5 Mpx, two periods, to phase, modulation, fri
 for dark, saturated and mismatched pixels. They take turns, and the median of the paired ratios is given, so that a busy
 machine slows all alike. `reconstruct` is the public call, with all it returns; the others' heights are checked, too.
 
-Bandwidth: bytes that must be read (the frames, once) plus bytes written (every image of the result), over time; beside a copy
+Bandwidth: bytes that must be read (the frames, once) plus bytes written (every image of the result), over time; compared with a copy
 on all cores of as many bytes, read and written likewise.
 """
 
@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 import decode
 from benchmarks.result import Result, Target, main
 from benchmarks.turns import Copy, take_turns
-from decode.geometry import View
-from scenes.calibration import Calibration
-from scenes.emission import TelecentricProjector
-from scenes.patterns import PhaseShift
-from scenes.rig import LookAt, Telecentric
-from scenes.sensor import SimpleSensor
-from scenes.stack import Stack
+from decode.height.calibrated_view import CalibratedView
+from scenes.acquisition.patterns import PhaseShift
+from scenes.acquisition.sensor import SimpleSensor
+from scenes.files.stack import Stack
+from scenes.rig.calibration import Calibration
+from scenes.rig.devices import LookAt, Telecentric
+from scenes.rig.projectors import TelecentricProjector
 
 FASTER = Target("ratio", "at least", 8.0)
 BANDWIDTH = Target("ratio", "at least", 0.6)
@@ -46,7 +46,7 @@ def capture(rows: int = ROWS) -> tuple[Stack, Image]:
         resolution=(912, 1140), pose=LookAt(origin_mm=(100, 0, 200)), field_width_mm=40
     )
     calibration = Calibration(camera=camera, projectors=(projector,), height_range_mm=(-1, 3))
-    rig = View(calibration, 0).rig
+    rig = CalibratedView(calibration, 0).rig
     column, row = np.meshgrid(np.arange(COLUMNS) + 0.5, np.arange(rows) + 0.5)
     height = 1.0 + np.sin(column / 150.0) * np.sin(row / 170.0)
     ray = rig.ray(column, row)
@@ -65,7 +65,7 @@ def plane_px(stack: Stack) -> tuple[Image, np.float32]:
     """The rig's coefficients: ``u = plane + c h`` for parallel rays, a plane of columns and rows, and one number."""
     assert stack.calibration is not None
     columns, rows = stack.resolution
-    rig = View(stack.calibration, 0).rig
+    rig = CalibratedView(stack.calibration, 0).rig
     corner = rig.ray(np.array([0.5, 1.5, 0.5]), np.array([0.5, 0.5, 1.5]))
     zero = rig.coordinate(corner, corner.t_at(0.0), "column")[0]
     c = np.float32(rig.coordinate(corner, corner.t_at(1.0), "column")[0][0] - zero[0])
@@ -169,8 +169,8 @@ def _rows(stack: Stack, truth: Image, rounds: int) -> list[Result]:
     note = f"8 frames of {columns} x {rows}, {moved / 1e6:.0f} MB read and written"
     judged = kind != "uint16"
     return [
-        turns.beside(kind, "NumPy, float32", target=FASTER if judged else None, note=note),
-        turns.beside(kind, "OpenCV's functions", theirs=2, note=note),
+        turns.compared(kind, "NumPy, float32", target=FASTER if judged else None, note=note),
+        turns.compared(kind, "OpenCV's functions", theirs=2, note=note),
         turns.rate(
             f"{kind}, bandwidth",
             "copy on all cores",

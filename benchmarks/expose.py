@@ -1,7 +1,7 @@
 """Exposing: time for each frame and megapixel, against NumPy's own Poisson and normal draws of as many pixels.
 
-The draws are one thread each, as many at once as there are cores, as `expose` does it with frames: what no exact sensor with
-that generator can undercut. And against the memory: the float32 channels read and the counts written, beside a copy.
+The draws run in one thread per core, as `expose` does with frames: a lower bound for an exact sensor with that generator.
+Memory: the float32 channels read and the counts written, compared with a copy.
 """
 
 import os
@@ -48,7 +48,7 @@ def measure(quick: bool) -> list[Result]:
         f"bench, {size[0]} x {size[1]}, {frames} frames, EMVA 12 bits, {float(electrons):.0f} electrons on average; "
         f"without noise {wall[2]:.1f} ms"
     )
-    result = turns.beside("", "NumPy's Poisson and normal draws alone", reads="x baseline")
+    result = turns.compared("", "NumPy's Poisson and normal draws alone", reads="x baseline")
     row = Result(
         "one frame, of a megapixel",
         float(wall[0]),

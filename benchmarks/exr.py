@@ -19,13 +19,13 @@ import render
 import scenes
 from benchmarks.result import Result, main
 from benchmarks.turns import Work, take_turns
-from scenes import exr, exr_bands
-from scenes.sensor import Emva
+from scenes.acquisition.sensor import Emva
+from scenes.files import exr, exr_rows
 
 # PXR24 drops 8 of a float's bits: exact for counts, not for light and lengths. DWA and B44 are lossy by design.
 ALL = ("NO", "RLE", "ZIPS", "ZIP", "PIZ", "PXR24", "ZSTD", "HTJ2K32", "HTJ2K256")
 LOSSY = {("light", "PXR24"), ("truth", "PXR24")}
-# What `Stack`, `Transport` and `Truth` write.
+# Codecs that `Stack`, `Transport` and `Truth` use.
 OURS = {"12-bit frames": "PIZ", "8-bit frames": "PIZ", "light": "ZIP", "truth": "ZIP"}
 # 12 bits of the same sensor become 8: a sixteenth of the gain.
 COARSE = Emva(bits=8, gain_dn_per_e=Emva().gain_dn_per_e / 16, black_level_dn=4.0)
@@ -34,13 +34,13 @@ Arrays = Mapping[str, NDArray[Any]]
 
 
 def contents(folder: Path, quick: bool) -> dict[str, tuple[Arrays, Arrays]]:
-    """Channels as they stand in the project's files, and the same as NumPy would be given them."""
+    """Channels as they are stored in files, and as arrays for NumPy."""
     size = [320, 240] if quick else [800, 600]
     scene = scenes.load("bench", {"camera.resolution": size, "sampling.samples": 4})
     light = render.trace(scene)
     fine = render.expose(light)
     coarse = render.expose(light, sensor=COARSE, exposures=fine.exposure_ms)
-    found = {}
+    found: dict[str, tuple[Arrays, Arrays]] = {}
     for name, thing in (
         ("12-bit frames", fine),
         ("8-bit frames", coarse),
@@ -71,7 +71,7 @@ def _load(path: Path) -> None:
 
 
 def _read_bands(path: Path) -> None:
-    with exr_bands.reading(path, "measured") as bands:
+    with exr_rows.reading(path, "measured") as bands:
         for _ in bands:
             pass
 
@@ -81,12 +81,7 @@ def _codec(name: str) -> dict[str, Any]:
 
 
 def _compare(
-    folder: Path,
-    content: str,
-    channels: Arrays,
-    arrays: Arrays,
-    codecs: Sequence[str],
-    quick: bool,
+    folder: Path, content: str, channels: Arrays, arrays: Arrays, codecs: Sequence[str], quick: bool
 ) -> list[Result]:
     ours = OURS[content]
     codecs = [c for c in codecs if hasattr(OpenEXR, f"{c}_COMPRESSION")]
@@ -100,7 +95,7 @@ def _compare(
     writes = [
         _numpy(np.savez, paths[0], arrays),
         *(exr_work(c, p) for c, p in zip(codecs, paths[1:], strict=False)),
-        lambda: exr_bands.write(paths[-2], "measured", channels, {}, _codec(ours)),
+        lambda: exr_rows.write(paths[-2], "measured", channels, {}, _codec(ours)),
         _numpy(np.savez_compressed, paths[-1], arrays),
     ]
     reads: list[Work] = [lambda: _load(paths[0])]
@@ -134,7 +129,7 @@ def _compare(
 
 
 def measure(quick: bool, codecs: Sequence[str] = ("ZIP", "PIZ", "ZSTD")) -> list[Result]:
-    """Codecs on every kind of file; `quick`: small, and what the project writes alone."""
+    """Codecs on every kind of file; `quick`: small files, and only the codecs in use."""
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
         return [

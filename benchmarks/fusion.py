@@ -11,9 +11,9 @@ import decode
 from benchmarks.decode import written_bytes
 from benchmarks.result import Result, Target, main
 from benchmarks.turns import Copy, take_turns
-from scenes.patterns import PhaseShift
-from scenes.sensor import Emva
-from scenes.stack import Stack
+from scenes.acquisition.patterns import PhaseShift
+from scenes.acquisition.sensor import Emva
+from scenes.files.stack import Stack
 
 TARGET = Target("ratio", "at least", 0.5)
 # A plane of this size in float32 is a multiple of 128 KiB, as a camera's may be: all 48 then meet in the same set of 16 lines

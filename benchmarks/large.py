@@ -8,7 +8,7 @@ import sys
 from benchmarks.light import Path, scene, seeds, tracing
 from benchmarks.process import python
 from benchmarks.result import Result, Target, main
-from benchmarks.trace import beside_path
+from benchmarks.trace import compared_with_path
 
 SAMPLES = 16
 TIME = Target("ratio", "at most", 3.0)
@@ -16,13 +16,13 @@ MEMORY = Target("value", "at most", 2.0)
 
 
 def measure(quick: bool) -> list[Result]:
-    """Time beside `path`, and memory."""
+    """Time compared with `path`, and memory."""
     side, rounds = (512, 2) if quick else (2048, 3)
     shown = scene(size=(side, side), samples=SAMPLES)
     note = f"bench, {side} x {side}, {SAMPLES} samples, depth 3"
-    rows = beside_path(shown, 3, rounds, TIME, note)
+    rows = compared_with_path(shown, 3, rounds, TIME, note)
     ours, theirs = (
-        python("-m", "benchmarks.large", "--alone", what, str(side)).peak_mb / 1000
+        python("-m", "benchmarks.large", "--in-process", what, str(side)).peak_mb / 1000
         for what in ("pass", "path")
     )
     rows.append(
@@ -33,8 +33,8 @@ def measure(quick: bool) -> list[Result]:
     return rows
 
 
-def alone(what: str, side: int) -> None:
-    """One pass, or one frame."""
+def in_process(what: str, side: int) -> None:
+    """Run one pass, or one frame."""
     shown = scene(size=(side, side), samples=SAMPLES)
     if what == "pass":
         tracing(shown, seeds(3))()
@@ -43,7 +43,7 @@ def alone(what: str, side: int) -> None:
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["--alone"]:
-        alone(sys.argv[2], int(sys.argv[3]))
+    if sys.argv[1:2] == ["--in-process"]:
+        in_process(sys.argv[2], int(sys.argv[3]))
         sys.exit()
     raise SystemExit(main("large", __doc__, measure))

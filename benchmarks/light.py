@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 import render
 import scenes
-from render.camera import camera_plugin
-from render.variant import mi
+from render.plugins.camera_sensor import camera_plugin
+from render.plugins.variant import mi
 
 
 def scene(
@@ -18,11 +18,7 @@ def scene(
     """A shipped scene at some size."""
     return scenes.load(
         name,
-        {
-            "camera.resolution": list(size),
-            "sampling.samples": samples,
-            "sampling.depth": depth,
-        },
+        {"camera.resolution": list(size), "sampling.samples": samples, "sampling.depth": depth},
     )
 
 

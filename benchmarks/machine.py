@@ -1,4 +1,4 @@
-"""What the numbers were measured on."""
+"""The machine that the numbers were measured on."""
 
 import importlib.metadata
 import os
@@ -7,7 +7,7 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-from scenes import backend
+from scenes.support import backend
 
 PACKAGES = (
     "fringebench",
@@ -21,7 +21,7 @@ PACKAGES = (
 
 
 def describe() -> dict[str, Any]:
-    """The machine, in JSON's types."""
+    """The machine as plain data for JSON."""
     chosen = backend.select()
     return {
         "processor": _processor(),
@@ -38,12 +38,12 @@ def describe() -> dict[str, Any]:
 
 
 def load() -> float:
-    """Programs that wanted a core, averaged over the last minute."""
+    """Number of runnable programs, averaged over the last minute."""
     return round(os.getloadavg()[0], 2)
 
 
 def sentence(machine: dict[str, Any]) -> str:
-    """One paragraph."""
+    """The machine in one paragraph."""
     packages = ", ".join(f"{name} {version}" for name, version in machine["packages"].items())
     device = f", {machine['device']}" if machine["device"] else ""
     return (
@@ -53,15 +53,17 @@ def sentence(machine: dict[str, Any]) -> str:
 
 
 def _processor() -> str:
-    """The model's name; on virtual machines with family and model, for the name may be bare."""
+    """Name of the processor, with family and model: virtual machines may give a generic name."""
     try:
         lines = Path("/proc/cpuinfo").read_text().split("\n\n")[0].splitlines()
     except OSError:
         return platform.processor() or platform.machine()
-    told = {key.strip(): value.strip() for key, _, value in (line.partition(":") for line in lines)}
-    if "model name" not in told:
+    found = {
+        key.strip(): value.strip() for key, _, value in (line.partition(":") for line in lines)
+    }
+    if "model name" not in found:
         return platform.machine()
-    return f"{told['model name']} (family {told.get('cpu family')}, model {told.get('model')})"
+    return f"{found['model name']} (family {found.get('cpu family')}, model {found.get('model')})"
 
 
 def _system() -> str:
@@ -73,12 +75,12 @@ def _system() -> str:
 
 
 def _device() -> str:
-    """The CUDA device's name."""
+    """Name of the CUDA device."""
     try:
-        told = subprocess.run(
+        found = subprocess.run(
             ["nvidia-smi", "--query-gpu=name", "--format=csv,noheader"],
             capture_output=True, text=True, check=True, timeout=30,
         )  # fmt: skip
     except (OSError, subprocess.SubprocessError):
         return "a CUDA device"
-    return told.stdout.splitlines()[0].strip()
+    return found.stdout.splitlines()[0].strip()

@@ -1,4 +1,4 @@
-"""Peak resident memory of each stage, as a command of its own, beside a process that only imports.
+"""Peak resident memory of each stage as a command, compared with a process that only imports.
 
 640 x 480 pixels of `bench`: 36 frames in three exposures.
 """

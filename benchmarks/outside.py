@@ -1,7 +1,7 @@
-"""Decoding beside PyPI `fringes` and OpenCV's structured_light, on the same 8-bit frames, in turns.
+"""Decoding compared with PyPI `fringes` and OpenCV's structured_light, on the same 8-bit frames, in turns.
 
 They run in the environment whose python FRINGEBENCH_OUTSIDE_PYTHON names (docs/outside-decoders.md), or in this one where it
-has them. All give coordinates, or phase, alone: no heights. `fringes` is compiled before it is timed. OpenCV decodes Gray
+has them. All give coordinates or phases, no heights. `fringes` is compiled before it is timed. OpenCV decodes Gray
 code of one camera pixel by pixel, called from Python: on a part of the image, so that rates are compared.
 """
 
@@ -19,31 +19,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 import decode
+from benchmarks.outside_decoders import VARIABLE
 from benchmarks.process import ROOT, ProgramFailedError
 from benchmarks.result import Result, Target, main, not_run
 from benchmarks.turns import Elsewhere, take_turns
-from fringebench.outside import VARIABLE
-from scenes import Calibration, GrayCode, PhaseShift, SimpleSensor, Stack, load
+from scenes import GrayCode, PhaseShift, SimpleSensor, Stack, load
 
 FINE_PX = 16.0
 TARGET = Target("ratio", "at least", 100.0)
 TASKS: dict[str, tuple[str, Any]] = {
     "fringes": ("3 periods x 4 steps", PhaseShift(steps=4, periods_px=(16.0, 128.0, 1024.0))),
     "sinusoids": ("one period x 3 steps", PhaseShift(steps=3, periods_px=(1024.0,))),
-    "gray": (
-        "Gray code, both axes",
-        GrayCode(axes=("column", "row"), bits=(10, 10), flat=False),
-    ),
+    "gray": ("Gray code, both axes", GrayCode(axes=("column", "row"), bits=(10, 10), flat=False)),
 }
 NAMES = {
     "fringes": "fringes",
     "sinusoids": "OpenCV SinusoidalPattern",
     "gray": "OpenCV GrayCodePattern",
 }
-# Decodes of ours in a turn. One takes a hundredth of the others' second, and would start each time on sleeping cores and cold
-# caches, which they do not notice: rates are compared over times of one order.
+# Our decodes per turn. One takes a hundredth of the time of the others, and would start on idle cores and cold caches each
+# time, which does not matter to them: rates are compared over similar times.
 REPEATS = 20
-# Of the image, for who takes a microsecond or more for each pixel.
+# Part of the image for decoders that take a microsecond or more per pixel.
 PART = (120, 160)
 
 
@@ -61,13 +58,13 @@ def capture(patterns: Any, size: tuple[int, int]) -> tuple[Stack, NDArray[np.flo
     for k, frame in enumerate(shown):
         level = 40.0 + 160.0 * patterns.commanded(frame, at[frame.axis])
         frames[0, k] = np.rint(level + rng.normal(0.0, 1.0, level.shape))
-    return Stack(frames, shown, (1.0,), SimpleSensor(sigma_dn=1.0), Calibration.of(scene)), at[
+    return Stack(frames, shown, (1.0,), SimpleSensor(sigma_dn=1.0), scene.calibration()), at[
         "column"
     ]
 
 
 class Guest:
-    """A program of another environment that decodes when told."""
+    """A program in another environment that decodes on request."""
 
     def __init__(self, process: "subprocess.Popen[str]", answer: Path) -> None:
         self._process = process
@@ -117,7 +114,7 @@ def measure(quick: bool) -> list[Result]:
 
 def _row(what: str, size: tuple[int, int], rounds: int) -> Result:
     task, patterns = TASKS[what]
-    name = f"{task}, beside {NAMES[what]}"
+    name = f"{task}, compared with {NAMES[what]}"
     stack, truth = capture(patterns, size)
     shown, wanted = stack.frames[0], truth
     if what == "sinusoids":

@@ -1,6 +1,6 @@
-"""Somebody else's decoder, told when to decode: `python outside_program.py WHAT FRAMES.npy ANSWER.npy`.
+"""An outside decoder that decodes on request: `python outside_program.py WHAT FRAMES.npy ANSWER.npy`.
 
-Runs in an environment of its own and knows nothing of the project. WHAT: ``fringes`` (PyPI `fringes`, periods 16, 128 and 1024
+Runs in its own environment and knows nothing of the project. WHAT: ``fringes`` (PyPI `fringes`, periods 16, 128 and 1024
 px, four steps), ``sinusoids`` or ``gray`` (OpenCV's structured_light: three steps of 16 px; Gray code of 1024 x 768). Writes
 one answer, prints a line (a version, or ``missing: ...``), then decodes once for each line it reads and prints wall and
 processor seconds.
@@ -21,7 +21,7 @@ def fringes(frames: Any) -> tuple[str, Callable[[], Any]]:
     """Column coordinate, (row, col)."""
     from importlib.metadata import version
 
-    from fringes import Fringes
+    from fringes import Fringes  # type: ignore[import-not-found,unused-ignore]
 
     setup = Fringes()
     setup.X, setup.Y, setup.D = *SIZE, 1
@@ -36,13 +36,13 @@ def sinusoids(frames: Any) -> tuple[str, Callable[[], Any]]:
     """Wrapped phase, (row, col)."""
     import cv2
 
-    params = cv2.structured_light_SinusoidalPattern_Params()
+    params = cv2.structured_light_SinusoidalPattern_Params()  # type: ignore[attr-defined,unused-ignore]
     params.width, params.height = SIZE
     params.nbrOfPeriods = SIZE[0] // 16
     params.shiftValue = 2.0 * np.pi / 3.0
     params.methodId = 1
     params.horizontal = params.setMarkers = False
-    pattern = cv2.structured_light_SinusoidalPattern.create(params)
+    pattern = cv2.structured_light_SinusoidalPattern.create(params)  # type: ignore[attr-defined,unused-ignore]
     images = list(frames)
     # It pads to a size that transforms fast, and leaves the padding.
     rows, columns = images[0].shape
@@ -53,7 +53,7 @@ def gray(frames: Any) -> tuple[str, Callable[[], Any]]:
     """Column plus half, (row, col): pixel by pixel, as the module offers for one camera."""
     import cv2
 
-    pattern = cv2.structured_light.GrayCodePattern.create(*SIZE)
+    pattern = cv2.structured_light.GrayCodePattern.create(*SIZE)  # type: ignore[attr-defined,unused-ignore]
     images = list(frames)
     rows, columns = images[0].shape
 
@@ -72,20 +72,20 @@ def gray(frames: Any) -> tuple[str, Callable[[], Any]]:
 def main(what: str, frames: str, answer: str) -> None:
     """Serve until standard input ends."""
     make = {"fringes": fringes, "sinusoids": sinusoids, "gray": gray}[what]
-    # What libraries print is no answer.
-    told, sys.stdout = sys.stdout, sys.stderr
+    # Keep what libraries print out of the answers.
+    answers, sys.stdout = sys.stdout, sys.stderr
     try:
         version, decode = make(np.load(frames))
     except (ImportError, AttributeError) as error:
-        print(f"missing: {error}", file=told, flush=True)
+        print(f"missing: {error}", file=answers, flush=True)
         return
     np.save(answer, decode())
-    print(version, file=told, flush=True)
+    print(version, file=answers, flush=True)
     for _ in sys.stdin:
         wall, processor = time.perf_counter(), time.process_time()
         decode()
         spent = (time.perf_counter() - wall, time.process_time() - processor)
-        print(json.dumps(spent), file=told, flush=True)
+        print(json.dumps(spent), file=answers, flush=True)
 
 
 if __name__ == "__main__":

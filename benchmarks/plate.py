@@ -17,7 +17,7 @@ CYCLES_S = 139.0
 
 
 def measure(quick: bool) -> list[Result]:
-    """The pass beside one frame by `path`."""
+    """The pass compared with one frame by `path`."""
     size, rounds = ((160, 120), 3) if quick else ((640, 480), 5)
     shown = scene(size=size)
     shown = shown.model_copy(
@@ -30,16 +30,16 @@ def measure(quick: bool) -> list[Result]:
     # Two runs differ by the errors of both.
     errors = Judge(shown, phase(frames[1])).errors(frames[0])
     taken = float(np.median(turns.wall_s[:, 0]))
-    beside = "" if quick else f", {CYCLES_S / taken:.0f} times ours"
+    cycles = "" if quick else f", {CYCLES_S / taken:.0f} times ours"
     return [
-        turns.beside(
+        turns.compared(
             f"pass, {len(shown.patterns.frames())} frames",
             "path, multijitter, one frame",
             unit="s",
             reads="x baseline",
             note=f"{size[0]} x {size[1]}, 64 samples, depth 3; scatter on flats {1e3 * errors[SCATTER]:.2f} mrad; two runs "
             f"differ by {1e3 * errors[P95]:.2f} mrad (95th percentile). Blender Cycles took {CYCLES_S:.0f} s at 640 x 480, "
-            f"once, on two cores, at equal scatter{beside}; it was not run here",
+            f"once, on two cores, at equal scatter{cycles}; it was not run here",
         )
     ]
 

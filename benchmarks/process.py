@@ -1,4 +1,4 @@
-"""Programs in processes of their own: wall and processor time, and peak memory, of the program alone."""
+"""Wall time, processor time and peak memory of a program in its own process."""
 
 import json
 import os
@@ -12,21 +12,21 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 
-# Linux hands the peak of the memory a process had before exec on to the program it becomes, so a child of a large process
-# shows its parent's peak. Hence a small process between, which starts the program and tells what it used.
+# Linux passes the peak memory before exec on to the new program, so a child of a large process reports the peak of its
+# parent. A small process in between starts the program and reports what it used.
 BETWEEN = """
 import json, os, sys, time
 start = time.perf_counter()
 pid = os.posix_spawn(sys.argv[2], sys.argv[2:], os.environ)
 _, status, used = os.wait4(pid, 0)
-with open(sys.argv[1], "w") as told:
-    json.dump([os.waitstatus_to_exitcode(status), time.perf_counter() - start, used.ru_utime + used.ru_stime, used.ru_maxrss], told)
+with open(sys.argv[1], "w") as report:
+    json.dump([os.waitstatus_to_exitcode(status), time.perf_counter() - start, used.ru_utime + used.ru_stime, used.ru_maxrss], report)
 """
 
 
 @dataclass(frozen=True)
 class Program:
-    """What a program printed and used."""
+    """Output and resources of a program."""
 
     output: str
     wall_s: float
@@ -36,7 +36,7 @@ class Program:
 
 
 class ProgramFailedError(Exception):
-    """A program of a benchmark ended with another status than 0."""
+    """A program of a benchmark ended with a status other than 0."""
 
 
 def run(command: Sequence[str | Path], home: Path | None = None, longest_s: float = 900) -> Program:
@@ -44,23 +44,23 @@ def run(command: Sequence[str | Path], home: Path | None = None, longest_s: floa
 
     Raises `ProgramFailedError` with its last words.
     """
-    # A wide page, so that what it prints stands on one line.
+    # Wide enough to print each row on one line.
     env = dict(os.environ) | {"COLUMNS": "500", "PYTHONPATH": str(ROOT)}
     if home:
         env["HOME"] = str(home)
     with tempfile.TemporaryDirectory() as folder:
-        told = Path(folder) / "used.json"
+        report = Path(folder) / "used.json"
         done = subprocess.run(
-            [sys.executable, "-S", "-E", "-c", BETWEEN, told, *command],
+            [sys.executable, "-S", "-E", "-c", BETWEEN, report, *command],
             env=env,
             capture_output=True,
             text=True,
             timeout=longest_s,
             check=False,
         )
-        if not told.is_file():
+        if not report.is_file():
             raise ProgramFailedError(f"{command[0]} did not start: {done.stderr[-300:]}")
-        status, wall_s, processor_s, peak_kb = json.loads(told.read_text())
+        status, wall_s, processor_s, peak_kb = json.loads(report.read_text())
     if status:
         last = (done.stderr or done.stdout).strip().splitlines()[-1:] or ["no output"]
         raise ProgramFailedError(f"{' '.join(map(str, command[:5]))}: status {status}, {last[0]}")
@@ -74,6 +74,6 @@ def python(*words: str | Path, home: Path | None = None) -> Program:
 
 @contextmanager
 def empty_home() -> Iterator[Path]:
-    """A HOME without caches: Dr.Jit keeps its kernels in ~/.drjit."""
+    """A HOME without caches: Dr.Jit stores its kernels in ~/.drjit."""
     with tempfile.TemporaryDirectory() as folder:
         yield Path(folder)

@@ -11,8 +11,8 @@ samples, which shows how its error falls; its time to the pass's error is then
 
     t = 12 frames x time of one x (error of path / error of the pass)^2
 
-since error falls as 1 / sqrt(n); the exponent found stands in the notes. A careful user renders all frames with one
-seed: they then share their noise, and part of it leaves the phase. Shown beside it: a seed of its own for each frame.
+since error falls as 1 / sqrt(n); the measured exponent is in the notes. A careful user renders all frames with one
+seed: they then share their noise, and part of it leaves the phase. Also shown: a seed of its own for each frame.
 """
 
 from collections.abc import Callable
@@ -139,14 +139,14 @@ def _row(
     theirs: list[float],
     least: float,
 ) -> Result:
-    """The pass beside `path`, its time scaled to the pass's error."""
+    """The pass and `path`, its time scaled to the pass's error."""
     sampler, seeding, name = what
     samples, frames = shown.sampling.samples, len(shown.patterns.frames())
     longer = frames * (theirs[0] / ours) ** 2
     exponent = np.log(theirs[0] / theirs[1]) / np.log(MORE)
     scaled = Turns(turns.wall_s * (1.0, longer), turns.processor_s * (1.0, longer))
     columns, rows = shown.camera.resolution
-    return scaled.beside(
+    return scaled.compared(
         f"{sampler}, {seeding}: {name}",
         f"path, {frames} frames to the same error",
         unit="s",

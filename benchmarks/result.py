@@ -1,4 +1,4 @@
-"""What a benchmark finds, and how it is shown: a table, Markdown, JSON."""
+"""Results of benchmarks as a table, Markdown and JSON."""
 
 import argparse
 from collections.abc import Callable, Sequence
@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 SCHEMA = 1
-# Columns of a table where there is no terminal.
+# Width of a table if standard output is no terminal.
 WIDTH = 170
 BEGIN, END = "<!-- measured -->", "<!-- end of measured -->"
 Sense = Literal["at least", "at most"]
@@ -18,34 +18,34 @@ Reads = Literal["x faster", "x baseline"]
 
 @dataclass(frozen=True)
 class Target:
-    """What is promised of a result's ratio, or of its value."""
+    """Target for the ratio of a result, or for its value."""
 
     of: Literal["ratio", "value"]
     sense: Sense
     limit: float
 
     def met_by(self, number: float) -> bool:
-        """Whether that number keeps the promise."""
+        """Whether that number meets the target."""
         return number >= self.limit if self.sense == "at least" else number <= self.limit
 
 
 @dataclass(frozen=True)
 class Result:
-    """One measurement beside its baseline. `value` None: not run, and `note` says why."""
+    """One measurement and its baseline. `value` None: not run, for the reason in `note`."""
 
     name: str
     value: float | None
-    """By the clock on the wall, where it is a time or a rate."""
+    """Wall-clock time or rate, or another quantity."""
     unit: str
     baseline: str = ""
-    """What `baseline_value` was measured of, in the same run."""
+    """Name of the baseline, measured in the same run."""
     baseline_value: float | None = None
     ratio: float | None = None
-    """Median of the ratios of paired runs, where there are pairs."""
+    """Median ratio of paired runs, or the ratio of the values."""
     reads: Reads = "x baseline"
     """`x faster`: baseline over value; `x baseline`: value over baseline."""
     processor_value: float | None = None
-    """`value` from processor time, all threads together: what other programs hardly change."""
+    """`value` from the processor time of all threads, which other programs hardly change."""
     processor_baseline: float | None = None
     processor_ratio: float | None = None
     target: Target | None = None
@@ -58,17 +58,17 @@ class Result:
         return None if self.target is None or number is None else self.target.met_by(number)
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Plain data for JSON."""
         return asdict(self) | {"met": self.met}
 
 
 def not_run(name: str, why: str) -> Result:
-    """A row that says why there is no number."""
+    """A row with the reason why there is no number."""
     return Result(name, None, "", note=f"not run: {why}")
 
 
 def digits(number: float | None, unit: str = "") -> str:
-    """Three significant digits, without exponent where that is readable."""
+    """Three significant digits, without exponent if that is readable."""
     if number is None:
         return ""
     size = abs(number)
@@ -77,7 +77,7 @@ def digits(number: float | None, unit: str = "") -> str:
 
 
 def cells(result: Result, judged: bool = True) -> tuple[str, ...]:
-    """A result's row: name, value, baseline, ratio, ratio by processor time, target and, if `judged`, whether it is met."""
+    """Row of a result: name, value, baseline, ratio, ratio by processor time, target and, if `judged`, whether it is met."""
     target = result.target
     promised = ""
     if target:
@@ -85,11 +85,11 @@ def cells(result: Result, judged: bool = True) -> tuple[str, ...]:
         verdict = {True: "met", False: "MISSED", None: "?"}[result.met]
         promised = f"{'>=' if target.sense == 'at least' else '<='} {target.limit:g} {unit}".strip()
         promised += f": {verdict}" if judged else ""
-    beside = digits(result.baseline_value, result.unit)
+    baseline = digits(result.baseline_value, result.unit)
     return (
         result.name,
         "not run" if result.value is None else digits(result.value, result.unit),
-        f"{result.baseline}: {beside}" if beside else result.baseline,
+        f"{result.baseline}: {baseline}" if baseline else result.baseline,
         "" if result.ratio is None else f"{digits(result.ratio)} {result.reads}",
         digits(result.processor_ratio),
         promised,
@@ -100,7 +100,7 @@ COLUMNS = ("measured", "value", "baseline, same run", "ratio", "by processor", "
 
 
 def show(console: Console, title: str, results: Sequence[Result], judged: bool = True) -> None:
-    """Print the table, and the notes below it."""
+    """Print the table and the notes below it."""
     shown = Table(*COLUMNS, title=title, title_justify="left", title_style="bold")
     for result in results:
         missed = judged and result.met is False
@@ -111,7 +111,7 @@ def show(console: Console, title: str, results: Sequence[Result], judged: bool =
 
 
 def notes(results: Sequence[Result]) -> list[tuple[str, str]]:
-    """Names and notes; neighbours with one note share it."""
+    """Names and notes; neighbours with the same note share it."""
     listed: list[tuple[str, str]] = []
     for result in results:
         if listed and listed[-1][1] == result.note:
@@ -122,13 +122,13 @@ def notes(results: Sequence[Result]) -> list[tuple[str, str]]:
 
 
 def console() -> Console:
-    """Standard output, wide enough for a row where it is no terminal."""
+    """Standard output, wide enough for a row if it is no terminal."""
     out = Console()
     return out if out.is_terminal else Console(width=WIDTH)
 
 
 def markdown(title: str, results: Sequence[Result], judged: bool = True) -> str:
-    """The same as Markdown, notes below."""
+    """The table as Markdown, notes below."""
     lines = [f"### {title}", "", "| " + " | ".join(COLUMNS) + " |", "|---" * len(COLUMNS) + "|"]
     lines += ["| " + " | ".join(cells(result, judged)) + " |" for result in results]
     below = [f"- {name}: {note}" for name, note in notes(results)]
@@ -136,7 +136,7 @@ def markdown(title: str, results: Sequence[Result], judged: bool = True) -> str:
 
 
 def between(text: str, tables: str) -> str:
-    """A page with what stands between its markers replaced; the tables alone for a page without markers."""
+    """A page with the text between its markers replaced; only the tables for a page without markers."""
     before, begin, rest = text.partition(BEGIN)
     _, end, after = rest.partition(END)
     return f"{before}{begin}\n{tables}\n{end}{after}" if begin and end else tables

@@ -1,6 +1,6 @@
 """`fringebench run bench` as a user calls it, from start to report, and where its time goes.
 
-A process of its own; the stages' times are those the command prints. What they leave is start-up, imports and printing. Warm:
+In its own process; the times of the stages are those the command prints. The rest is start-up, imports and printing. Warm:
 kernels in ~/.drjit from a run before; cold: an empty home, as after installation (matplotlib's caches are new then, too).
 """
 

@@ -15,13 +15,13 @@ TARGET = Target("ratio", "at most", 1.6)
 
 
 def measure(quick: bool) -> list[Result]:
-    """The pass beside `path` with each sampler."""
+    """The pass compared with `path` and each sampler."""
     size, samples, rounds = ((320, 240), 16, 3) if quick else ((640, 480), 64, 7)
     note = f"bench, {size[0]} x {size[1]}, {samples} samples, depth 3; {rounds} rounds"
-    return beside_path(scene(size=size, samples=samples), 1, rounds, TARGET, note)
+    return compared_with_path(scene(size=size, samples=samples), 1, rounds, TARGET, note)
 
 
-def beside_path(
+def compared_with_path(
     shown: scenes.Scene, seed: int, rounds: int, target: Target, note: str
 ) -> list[Result]:
     """A pass for all frames in turns with one frame by `path`, with each sampler."""
@@ -31,7 +31,7 @@ def beside_path(
     works += [one.one_frame(samples, draw) for one in paths]
     turns = take_turns(works, rounds)
     return [
-        turns.beside(
+        turns.compared(
             f"pass, {len(shown.patterns.frames())} frames",
             f"path, {sampler}, one frame",
             theirs=1 + i,

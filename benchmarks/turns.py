@@ -1,6 +1,6 @@
 """Timing for a machine that others use too: works take turns, and ratios are medians of each round's ratio.
 
-Processor time stands beside the clock's: it counts all threads, and what others do hardly changes it.
+Processor time is given next to wall time: it counts all threads, and other programs hardly change it.
 """
 
 import os
@@ -25,7 +25,7 @@ class Turns:
     wall_s: NDArray[np.float64]
     processor_s: NDArray[np.float64]
 
-    def beside(
+    def compared(
         self,
         name: str,
         baseline: str,
@@ -36,7 +36,7 @@ class Turns:
         target: Target | None = None,
         note: str = "",
     ) -> Result:
-        """One work's time beside another's."""
+        """Time of one work compared with that of another."""
         scale = {"s": 1.0, "ms": 1e3}[unit]
         over, under = (theirs, ours) if reads == "x faster" else (ours, theirs)
         wall, processor = self.wall_s, self.processor_s
@@ -66,7 +66,7 @@ class Turns:
         target: Target | None = None,
         note: str = "",
     ) -> Result:
-        """Amount a second (`amounts`: of each work) beside another's; by processor time, of each core in use."""
+        """Amount per second (`amounts`: of each work) compared with another; by processor time, per core in use."""
         mine, other = amounts[ours], amounts[theirs]
         wall, processor = self.wall_s, self.processor_s
         return Result(
@@ -86,7 +86,7 @@ class Turns:
 
 
 def take_turns(works: Sequence[Work], rounds: int, warm: bool = True) -> Turns:
-    """Time each work in every round; before, `warm`, each once untimed."""
+    """Time each work in every round; with `warm`, run each once untimed before."""
     if warm:
         for work in works:
             work()
@@ -95,34 +95,34 @@ def take_turns(works: Sequence[Work], rounds: int, warm: bool = True) -> Turns:
 
 
 class Elsewhere(NamedTuple):
-    """What a work returns that another process did: its own times."""
+    """Times returned by a work that ran in another process, in s."""
 
     wall_s: float
     processor_s: float
 
 
 def seconds(work: Work) -> tuple[float, float]:
-    """By the wall's clock and of the processor."""
+    """Wall-clock and processor time, in s."""
     wall, processor = time.perf_counter(), time.process_time()
     done = work()
     if isinstance(done, Elsewhere):
         return done
-    # The clock of processor time ticks in microseconds at worst; a work of none would make no ratio.
+    # The clock of processor time has a resolution of a microsecond; zero would give no ratio.
     return time.perf_counter() - wall, max(time.process_time() - processor, 1e-6)
 
 
 class Copy:
-    """Reads so many bytes and writes them elsewhere, on every core: what the memory can do, both counted."""
+    """Copies that many bytes on all cores; read and written bytes both count towards the bandwidth of memory."""
 
     def __init__(self, nbytes: int) -> None:
         cores = os.cpu_count() or 1
-        # Not zeros: the system backs those by one page until they are written, and a page is read from the cache.
+        # Not zeros: the system maps those to one page until they are written, which is read from the cache.
         self._from = np.array_split(np.arange(nbytes // 8 + 1), cores)
         self._to = np.array_split(np.empty(nbytes // 8 + 1, np.int64), cores)
         self._pool = ThreadPoolExecutor(cores)
         self.moved_gb = 2e-9 * 8 * (nbytes // 8 + 1)
 
     def __call__(self) -> None:
-        # NumPy lets go of the interpreter while it copies.
+        # NumPy releases the interpreter lock while it copies.
         for _ in self._pool.map(np.copyto, self._to, self._from):
             pass

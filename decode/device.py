@@ -1,6 +1,6 @@
-"""The machine that decodes: Dr.Jit on LLVM or CUDA, and how NumPy planes reach it.
+"""The backend that decodes: Dr.Jit on LLVM or CUDA, and how NumPy planes reach it.
 
-Dr.Jit reads a NumPy array where it lies (LLVM) and its results are NumPy arrays without a copy. Two traps are handled
+Dr.Jit reads a NumPy array in place (LLVM) and its results are NumPy arrays without a copy. Two traps are handled
 here. It loads whole packets, so a mapped array is read past its end when its size is no multiple of the packet; and it
 has no 16-bit integers, so a uint16 plane is read as 32-bit words and split in the kernel (5 x faster than converting).
 """
@@ -13,8 +13,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes import backend
-from scenes.errors import BackendError, DecodeError
+from scenes.support import backend
+from scenes.support.errors import BackendError, DecodeError
 
 # One value per pixel inside a kernel: a Dr.Jit array of whichever backend decodes.
 Lanes = Any
@@ -41,7 +41,7 @@ class Device:
         """The named backend, else CUDA where there is a device, else LLVM. Raises `BackendError` if it is missing."""
         best = _best()
         chosen = name or best
-        import drjit as dr  # after `select`, which tells it where LLVM is
+        import drjit as dr  # After `select`, which sets where LLVM is.
 
         if not dr.has_backend(getattr(dr.JitBackend, chosen.upper())):
             raise BackendError(
@@ -50,7 +50,9 @@ class Device:
         return cls(dr, import_module(f"drjit.{chosen}"))
 
     def root(self, x: Lanes) -> Lanes:
-        """Square root of float32 lanes to 2 units in the last place: by multiplication, for the divider is the bottleneck."""
+        """Square root of float32 lanes to 2 units in the last place: by multiplication, for the divider is the
+        bottleneck.
+        """
         return self.dr.select(x > 0.0, x * self.dr.rsqrt(x), x)
 
     def positive(self, x: Lanes) -> Lanes:
@@ -58,7 +60,9 @@ class Device:
         return self.dr.select(x > 0.0, x, 0.0)
 
     def plane(self, values: NDArray[Any], pixels: Lanes | None = None) -> Lanes:
-        """One image (row, col) of uint8, uint16 or float32 as float32 lanes; `pixels` picks flat indices."""
+        """An image (row, col) of uint8, uint16 or float32 as float32 lanes; `pixels` are the flat indices to read, by
+        default all.
+        """
         flat = np.ascontiguousarray(values).reshape(-1)
         types, dr = self.types, self.dr
         if flat.dtype == np.uint16:
@@ -73,9 +77,16 @@ class Device:
         lanes = kind(padded(flat))
         return types.Float(lanes if pixels is None else dr.gather(kind, lanes, pixels))
 
+    def image(self, values: Lanes, shape: tuple[int, int]) -> NDArray[Any]:
+        """Lanes as a host image of (rows, columns); a read-only view where one value serves all pixels."""
+        found = np.asarray(values.numpy())
+        if found.size == 1:
+            return np.broadcast_to(found, shape)
+        return found.reshape(shape)
+
 
 def padded(flat: NDArray[Any]) -> NDArray[Any]:
-    """The same values where reading up to the next whole packet stays inside their buffer."""
+    """The same values (n,) where reading up to the next whole packet stays inside their buffer."""
     missing = -flat.size % PACKET
     if not missing or _room_after(flat) >= missing * flat.itemsize:
         return flat

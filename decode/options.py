@@ -1,24 +1,34 @@
 """How a stack is decoded: every choice, validated."""
 
-from dataclasses import dataclass, fields
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import wraps
+from inspect import signature
 from numbers import Integral, Real
 from operator import index
-from typing import Any, Literal, get_args
+from typing import Any, Literal, ParamSpec, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from decode.fusion import FusionRule, Single
+from decode.fusion.interface import FusionRule, Single
+from decode.fusion.registry import rule as rule_named
 from decode.reconstruction import Reconstruction
-from decode.registry import rule as rule_named
-from scenes.errors import DecodeError, nearest
-from scenes.patterns import Axis
-from scenes.stack import Stack
+from scenes.acquisition.fringe_fit import STRAY_FRACTION
+from scenes.acquisition.patterns import Axis
+from scenes.files.stack import Stack
+from scenes.support.errors import DecodeError, nearest
 
 Unwrap = Literal["temporal", "row-scan", "quality-guided"]
 Anchor = Literal["gray", "volume", "field", "spatial"]
 Height = Literal["triangulation", "reference-plane", "linear", "phase"]
+Saturation = Literal["reject", "ignore"]
+Gamma = float | Literal["estimate"]
+Backend = Literal["llvm", "cuda"]
 Roi = tuple[int, int, int, int] | NDArray[np.bool_]
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 # What options that are numbers may be, NumPy's own included.
 TYPES: tuple[tuple[tuple[type, ...], tuple[str, ...], str], ...] = (
@@ -40,7 +50,7 @@ class Options:
     """Name of a fusion rule (see `decode.rules`), or a rule."""
     exposure: int | None = None
     """With ``fusion="single"``: the exposure's index. None: the middle one by time."""
-    saturation: Literal["reject", "ignore"] = "reject"
+    saturation: Saturation = "reject"
     """ignore: clipped samples count as good, so that saturation biases silently, as with a modulation mask alone."""
     unwrap: Unwrap | None = None
     """None: temporal where it is possible, else quality-guided."""
@@ -49,8 +59,9 @@ class Options:
     through the height model (one period suffices if no two heights look alike); field: the period spans the projector's
     image; spatial: a row scan of the coarsest phase, as the textbook's. Periods too fine for gray, volume or field beat
     with each other (heterodyne). None: the first of these that is unambiguous."""
-    gamma: float | Literal["estimate"] | None = None
-    """Gamma of the response, whose bending of the phase is taken out; estimate: from the fringes' harmonics."""
+    gamma: Gamma | None = None
+    """Gamma of the response, whose bending of the phase is taken out; estimate: from the fringes' harmonics. None: the
+    stack's."""
     height: Height | None = None
     """phase: none, coordinates only. None: triangulation with a calibration, else linear with `c_px_per_mm`."""
     c_px_per_mm: float | None = None
@@ -67,12 +78,12 @@ class Options:
     """(row0, row1, col0, col1), ends exclusive, or a boolean mask (row, col)."""
     min_modulation_dn: float | None = None
     """Modulation below which a pixel is dark. None: eight standard deviations of its noise (1/8 rad)."""
-    min_relative_modulation: float = 0.02
+    min_relative_modulation: float = STRAY_FRACTION
     """Modulation per exposure time, as a fraction of the image's median, below which light is taken for stray light in
-    a shadow: black ink sends back 5 % or more of what its surroundings do. 0: never, and nothing else is either."""
+    a shadow: black ink sends back 5 % or more of what its surroundings do. 0: never, and the borders of shadows are not searched either."""
     max_order_residual: float = 0.25
     """How far from a whole number, in periods, a predicted order may be; 0.5 accepts all."""
-    backend: Literal["llvm", "cuda"] | None = None
+    backend: Backend | None = None
     """None: CUDA where there is a device."""
 
     def __post_init__(self) -> None:
@@ -111,20 +122,16 @@ class Options:
             raise DecodeError("a reference is given: use height='reference-plane' with it")
 
     def _require_types(self) -> None:
-        for allowed, names, told in TYPES:
+        for allowed, names, wanted in TYPES:
             for name in names:
                 value = getattr(self, name)
                 if value is not None and not isinstance(value, allowed):
-                    raise DecodeError(f"{name} is {value!r}: give {told}")
+                    raise DecodeError(f"{name} is {value!r}: give {wanted}")
 
     @classmethod
     def of(cls, choices: dict[str, Any]) -> "Options":
         """Options from keywords. Raises `DecodeError` for one that does not exist."""
-        known = [f.name for f in fields(cls)]
-        for name in choices:
-            if name not in known:
-                raise DecodeError(f"unknown option '{name}': {nearest(name, known)}")
-        return cls(**choices)
+        return known_options(cls)(**choices)
 
     def rule(self) -> FusionRule:
         """The fusion rule, before it has seen the stack."""
@@ -145,9 +152,22 @@ class Options:
         return {"fusion": rule} | {name: getattr(self, name) for name in named + limits}
 
     def region(self, image: tuple[int, ...]) -> NDArray[np.bool_] | None:
-        """The region of interest, (row, col), of an image of that many rows and columns; None: all of it.
+        """The region of interest as a mask.
 
-        Raises `DecodeError` if the region is empty or not inside the image.
+        Parameters
+        ----------
+        image
+            (rows, columns) of the frames.
+
+        Returns
+        -------
+        array of bool, or None
+            (row, col); None: the whole image.
+
+        Raises
+        ------
+        DecodeError
+            The region is empty or not inside the image.
         """
         if self.roi is None:
             return None
@@ -176,11 +196,25 @@ class Options:
         return inside
 
 
+def known_options(function: Callable[P, T]) -> Callable[P, T]:
+    """The same function, which raises `DecodeError` with the nearest known name for an option that does not exist."""
+    known = list(signature(function).parameters)
+
+    @wraps(function)
+    def checked(*args: P.args, **options: P.kwargs) -> T:
+        for name in options:
+            if name not in known:
+                raise DecodeError(f"unknown option '{name}': {nearest(name, known)}")
+        return function(*args, **options)
+
+    return checked
+
+
 CHOICES: dict[str, tuple[str | None, ...]] = {
-    "saturation": ("reject", "ignore"),
+    "saturation": get_args(Saturation),
     "unwrap": (None, *get_args(Unwrap)),
     "anchor": (None, *get_args(Anchor)),
     "height": (None, *get_args(Height)),
-    "axis": (None, "column", "row"),
-    "backend": (None, "llvm", "cuda"),
+    "axis": (None, *get_args(Axis)),
+    "backend": (None, *get_args(Backend)),
 }

@@ -6,34 +6,169 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from decode import fusion
+from decode.codings.rewriting import as_fringes
 from decode.device import Device
-from decode.geometry import view_of
-from decode.kernel import Kernel
-from decode.options import Options
-from decode.plan import Plan
+from decode.fused.kernel import Kernel
+from decode.fused.plan import Planner
+from decode.fusion.interface import MERGED, FusionRule
+from decode.height.calibrated_view import view_of
+from decode.options import (
+    Anchor,
+    Backend,
+    Gamma,
+    Height,
+    Options,
+    Roi,
+    Saturation,
+    Unwrap,
+    known_options,
+)
+from decode.reason import Reason
 from decode.reconstruction import AxisPhase, Reconstruction
-from decode.validity import Reason
-from scenes.errors import DecodeError
-from scenes.memory import room_for
-from scenes.stack import Stack
+from scenes.acquisition.fringe_fit import STRAY_FRACTION
+from scenes.acquisition.patterns import Axis
+from scenes.files.stack import Stack
+from scenes.support.errors import DecodeError
+from scenes.support.memory import room_for
 
 # Memory per pixel of what comes out, as measured; frames are read in place.
 PIXEL_BYTES = 24
 
 
-def reconstruct(stack: Stack, **choices: Any) -> Reconstruction:
-    """Decode a stack into heights; the keywords are the fields of `Options`.
+@known_options
+def reconstruct(
+    stack: Stack,
+    *,
+    fusion: str | FusionRule = "max-modulation",
+    exposure: int | None = None,
+    saturation: Saturation = "reject",
+    unwrap: Unwrap | None = None,
+    anchor: Anchor | None = None,
+    gamma: Gamma | None = None,
+    height: Height | None = None,
+    c_px_per_mm: float | None = None,
+    reference: Stack | Reconstruction | None = None,
+    height_range_mm: tuple[float, float] | None = None,
+    axis: Axis | None = None,
+    projector: int | None = None,
+    roi: Roi | None = None,
+    min_modulation_dn: float | None = None,
+    min_relative_modulation: float = STRAY_FRACTION,
+    max_order_residual: float = 0.25,
+    backend: Backend | None = None,
+) -> Reconstruction:
+    """Decode a stack into heights.
 
-    Raises `DecodeError`, naming the cause, when a choice is impossible for this stack or no pixel can be decoded, and
-    `TooLargeError` for more pixels than memory holds.
+    Parameters
+    ----------
+    stack
+        Frames (exposure, frame, row, col) in digital numbers, their patterns and the sensor; with a calibration,
+        heights are triangulated.
+    fusion
+        How several exposures become one phase: a name from `decode.rules`, or a `FusionRule`.
+    exposure
+        With ``fusion="single"``: index of the exposure. None: `middle_exposure`.
+    saturation
+        ``"ignore"`` treats clipped samples as good, so that saturation biases silently, as with a modulation mask alone.
+    unwrap
+        ``"temporal"``, ``"row-scan"`` or ``"quality-guided"``. None: temporal where possible, else quality-guided.
+    anchor
+        What fixes the coarsest fringe order in temporal unwrapping: ``"gray"`` (Gray code), ``"volume"`` (height range),
+        ``"field"`` (the projector's size) or ``"spatial"`` (a row scan). None: the first that is unambiguous.
+    gamma
+        Gamma of the response, whose effect on the phase is removed, 0.2 to 5; ``"estimate"``: from the harmonics. None:
+        the stack's.
+    height
+        ``"triangulation"``, ``"reference-plane"``, ``"linear"``, or ``"phase"`` for phases alone. None: triangulation
+        with a calibration, else linear with `c_px_per_mm`.
+    c_px_per_mm
+        Fringe shift in projector px per mm of height, for an uncalibrated linear or reference-plane model.
+    reference
+        Measured plane z = 0 for the reference-plane model, under the same patterns.
+    height_range_mm
+        Lowest and highest height of the working volume, mm. None: the calibration's.
+    axis
+        Projector axis that measures height. None: the more sensitive one; column when uncalibrated.
+    projector
+        Index of the projector. None: all, and per pixel the valid one with the smallest predicted sigma.
+    roi
+        (row0, row1, col0, col1) in px, ends exclusive, or a boolean mask (row, col).
+    min_modulation_dn
+        Modulation in DN below which a pixel is dark. None: eight standard deviations of its noise (1/8 rad).
+    min_relative_modulation
+        Modulation per exposure time, as a fraction of the image's median, 0 to 1, below which light is taken for stray
+        light in a shadow. 0: never.
+    max_order_residual
+        Largest distance, in periods, of a predicted fringe order from a whole number, above 0, up to 0.5 (accepts all).
+    backend
+        ``"llvm"`` or ``"cuda"``. None: CUDA where there is a device.
 
+    Returns
+    -------
+    Reconstruction
+        Heights in mm, their predicted standard deviation, phases, and a reason for each rejected pixel; images are
+        (row, col).
+
+    Raises
+    ------
+    DecodeError
+        A choice that is impossible for this stack, or no pixel can be decoded; the message names the cause.
+    TooLargeError
+        More pixels than memory holds.
+
+    Notes
+    -----
+    ``I_k = A + B cos(phi + 2 pi k / N)``; phase by least squares, order by temporal unwrapping (Huntley & Saldner 1993),
+    height where the camera's ray meets the projector's fringe. Every choice is documented in `Options`.
+
+    Examples
+    --------
     >>> rec = reconstruct(stack, fusion="max-modulation", roi=(0, 100, 0, 200))  # doctest: +SKIP
     >>> rec.height_mm.shape == stack.frames.shape[2:]  # doctest: +SKIP
     True
     """
-    options = Options.of(choices)
+    return reconstruct_with(
+        stack,
+        Options(
+            fusion=fusion,
+            exposure=exposure,
+            saturation=saturation,
+            unwrap=unwrap,
+            anchor=anchor,
+            gamma=gamma,
+            height=height,
+            c_px_per_mm=c_px_per_mm,
+            reference=reference,
+            height_range_mm=height_range_mm,
+            axis=axis,
+            projector=projector,
+            roi=roi,
+            min_modulation_dn=min_modulation_dn,
+            min_relative_modulation=min_relative_modulation,
+            max_order_residual=max_order_residual,
+            backend=backend,
+        ),
+    )
+
+
+def reconstruct_with(stack: Stack, options: Options) -> Reconstruction:
+    """As `reconstruct`, with the choices as one object.
+
+    Parameters
+    ----------
+    stack
+        Frames (exposure, frame, row, col) in DN.
+    options
+        Every choice.
+
+    Returns
+    -------
+    Reconstruction
+        Images (row, col); heights in mm.
+    """
     _check_size(stack)
+    plain = as_fringes(stack, options.saturation == "reject")
+    stack = plain.stack
     region = options.region(stack.frames.shape[2:])
     projectors = sorted({frame.projector for frame in stack.patterns})
     if options.projector is not None:
@@ -46,31 +181,39 @@ def reconstruct(stack: Stack, **choices: Any) -> Reconstruction:
     rule = options.rule().prepare(stack)
     best: Reconstruction | None = None
     for projector in projectors:
-        plan = Plan(stack, options, projector)
-        if options.height == "reference-plane":
-            plan = replace(plan, reference_px=_reference_px(plan))
+        planner = Planner(stack, options, projector)
+        reference = _reference_px(planner) if options.height == "reference-plane" else None
         columns, rows = stack.resolution
         with room_for(
             PIXEL_BYTES * columns * rows,
             f"decoding {columns} x {rows} pixels",
             "decode strips of the frames, each with a calibration of its own pixels",
         ):
-            found = Kernel(plan, device, rule).decode()
+            found = Kernel(planner.plan(reference), device, rule).decode()
+        factor = plain.sigma_factor.get((projector, found.axis))
+        if factor is not None:
+            merged = found.exposure >= len(factor)
+            own = np.take_along_axis(factor, np.where(merged, 0, found.exposure)[None], axis=0)[0]
+            own = np.where(merged, factor.mean(axis=0), own)
+            found = replace(found, sigma_mm=found.sigma_mm * own)
         best = found if best is None else _better(best, found)
-    assert best is not None  # a stack has at least one frame, so one projector
+    assert best is not None  # A stack has at least one frame, so one projector.
     if region is not None:
         best = _within(best, region)
-    # some pixels first, which settle it nearly always
-    if best.reason[::16, ::16].min() != Reason.OK and best.reason.min() != Reason.OK:
+    # Some pixels first: nearly always one of them is valid. Heights up to whole turns are an answer, and are named so.
+    if not (
+        (best.reason[::16, ::16] == Reason.OK).any()
+        or np.isin(best.reason, (Reason.OK, Reason.ORDER_UNKNOWN)).any()
+    ):
         shares = ", ".join(
             f"{name} {share:.1%}" for name, share in best.reason_fractions().items() if name != "ok"
         )
         if (best.reason == Reason.NOT_A_NUMBER).any():
             shares += "; frames hold NaN or infinity, which are no digital numbers"
-        least = "automatic" if options.min_modulation_dn is None else options.min_modulation_dn
+        minimum = "automatic" if options.min_modulation_dn is None else options.min_modulation_dn
         raise DecodeError(
             f"no pixel could be decoded ({shares}): check exposure times, min_modulation_dn "
-            f"({least}), the patterns' order and the calibration"
+            f"({minimum}), the patterns' order and the calibration"
         )
     return best
 
@@ -78,23 +221,26 @@ def reconstruct(stack: Stack, **choices: Any) -> Reconstruction:
 def _check_size(stack: Stack) -> None:
     if stack.calibration is not None:
         camera = view_of(stack.calibration, 0).rig.camera
-        if (camera.width, camera.height) != stack.resolution:
-            raise DecodeError(
-                f"the calibration's camera is {camera.width} x {camera.height} pixels, the frames are "
-                f"{stack.resolution[0]} x {stack.resolution[1]}: set calibrated_at and resolution to match"
-            )
+        camera.require_shape(stack.frames.shape[2:], "the frames", DecodeError)
 
 
-def _reference_px(plan: Plan) -> NDArray[np.float64] | None:
+def _reference_px(plan: Planner) -> NDArray[np.float64] | None:
     """Coordinate (row, col) of the measured reference plane, NaN where it is invalid; None without one."""
     plane, options, shape = plan.options.reference, plan.options, plan.stack.frames.shape[2:]
     if plane is None:
         return None
     if isinstance(plane, Stack):
-        kept = ("fusion", "exposure", "saturation", "unwrap", "min_modulation_dn", "backend")
-        choices = {name: getattr(options, name) for name in kept}
         plane = reconstruct(
-            plane, **choices, height="phase", axis=plan.axis, projector=plan.projector
+            plane,
+            fusion=options.fusion,
+            exposure=options.exposure,
+            saturation=options.saturation,
+            unwrap=options.unwrap,
+            min_modulation_dn=options.min_modulation_dn,
+            backend=options.backend,
+            height="phase",
+            axis=plan.axis,
+            projector=plan.projector,
         )
     if plan.axis not in plane.phases or plane.reason.shape != shape:
         raise DecodeError(
@@ -132,7 +278,7 @@ def _better(one: Reconstruction, two: Reconstruction) -> Reconstruction:
 def _within(rec: Reconstruction, region: NDArray[np.bool_]) -> Reconstruction:
     """The region of interest of a whole decode.
 
-    Orders found by a scan, and shadow, hang on what lies around; and laying a region out takes longer than decoding all.
+    Orders found by a scan, and shadow, depend on the surroundings; and gathering a region takes longer than decoding everything.
     """
     out = ~region
 
@@ -149,7 +295,7 @@ def _within(rec: Reconstruction, region: NDArray[np.bool_]) -> Reconstruction:
         modulation_dn=kept(rec.modulation_dn),
         offset_dn=kept(rec.offset_dn),
         reason=kept(rec.reason, Reason.OUTSIDE_ROI),
-        exposure=kept(rec.exposure, fusion.MERGED),
+        exposure=kept(rec.exposure, MERGED),
         phases={
             axis: AxisPhase(phase.period_px, kept(phase.wrapped_rad), kept(phase.order, 0))
             for axis, phase in rec.phases.items()

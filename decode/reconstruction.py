@@ -1,4 +1,4 @@
-"""What decoding gives: heights with their uncertainty, and why each rejected pixel is rejected."""
+"""Result of decoding: heights with their uncertainty, and why each rejected pixel is rejected."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -10,14 +10,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import PositiveFloat, TypeAdapter, ValidationError
 
-from decode.validity import Reason
-from scenes import exr
-from scenes.calibration import Calibration
-from scenes.errors import DecodeError, FileError
-from scenes.frozen import in_words
-from scenes.patterns import Axis
+from decode.reason import Reason
+from scenes.acquisition.patterns import Axis
+from scenes.files import exr
+from scenes.rig.calibration import Calibration
+from scenes.support.errors import DecodeError, FileError
+from scenes.support.notebook import Displayed, Plane
+from scenes.support.validation_words import in_words
 
 KIND = "reconstruction"
+# What is known of the fringe order: the value of settings["resolved"]["order"].
+ORDER_ABSOLUTE, ORDER_UP_TO_TURNS = "absolute", "known only up to whole turns"
 Image = NDArray[np.float32]
 
 
@@ -45,11 +48,11 @@ class AxisPhase:
         return self.phase_rad * (self.period_px / (2.0 * np.pi))
 
 
-@dataclass(frozen=True, eq=False)
-class Reconstruction:
+@dataclass(frozen=True, eq=False, repr=False)
+class Reconstruction(Displayed):
     """Heights and what is known of each pixel; every array is (row, col).
 
-    Numbers stand wherever they could be computed, also where `valid` is False: a rejected pixel keeps its height.
+    Numbers are kept wherever they could be computed, also where `valid` is False: a rejected pixel keeps its height.
     Outside the region of interest, and where there is no number, floats are NaN.
     """
 
@@ -73,7 +76,25 @@ class Reconstruction:
     """Absolute phase by projector axis."""
     calibration: Calibration | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
-    """How it was decoded, in JSON's types."""
+    """How it was decoded, in JSON's types; "resolved" holds what was chosen where the options left it open."""
+    scene: str = ""
+    """TOML of the scene that the stack was made from; empty for real captures."""
+
+    def _facts(self) -> dict[str, str]:
+        rows, columns = self.reason.shape
+        shares = {name: f"{share:.1%}" for name, share in self.reason_fractions().items()}
+        valid = shares.pop("ok")
+        rejected = " ".join(f"{name} {share}" for name, share in shares.items()) or "none"
+        facts = {"size": f"{columns} x {rows} px", "valid": valid, "rejected": rejected}
+        return facts if self.order_known else facts | {"order": ORDER_UP_TO_TURNS}
+
+    def _planes(self) -> list[Plane]:
+        planes = [
+            Plane("Height", "mm", np.where(self.valid, self.height_mm, np.nan)),
+            Plane("Modulation", "DN", self.modulation_dn),
+            Plane("Predicted sigma", "mm", np.where(self.valid, self.sigma_mm, np.nan)),
+        ]
+        return [plane for plane in planes if np.isfinite(plane.values).any()] or planes[:1]
 
     @classmethod
     def of_heights(
@@ -82,9 +103,26 @@ class Reconstruction:
         valid: ArrayLike | None = None,
         calibration: Calibration | None = None,
     ) -> Self:
-        """Somebody else's heights in mm (row, col), NaN where there is none, so that they can be scored and written.
+        """Heights of another decoder, so that they can be scored and written.
 
-        Raises `DecodeError` if they are no image or no pixel is valid.
+        Parameters
+        ----------
+        height_mm
+            World z (row, col), mm; NaN where there is none.
+        valid
+            Which heights to trust, (row, col); None: all that are finite.
+        calibration
+            Camera and projectors, for points; None: heights only.
+
+        Returns
+        -------
+        Reconstruction
+            Without phases and predicted sigma.
+
+        Raises
+        ------
+        DecodeError
+            The heights are no image, or no pixel is valid.
         """
         height = np.asarray(height_mm, dtype=np.float32)
         if height.ndim != 2 or height.size == 0:
@@ -100,13 +138,19 @@ class Reconstruction:
             raise DecodeError("no height is finite and valid: there is nothing to score")
         unknown = np.full_like(height, np.nan)
         reason = np.where(good, Reason.OK, Reason.NO_HEIGHT).astype(np.uint8)
-        nobody = np.full(height.shape, 255, np.uint8)
-        return cls(height, unknown, unknown, unknown, reason, nobody, calibration=calibration)
+        unset = np.full(height.shape, 255, np.uint8)
+        return cls(height, unknown, unknown, unknown, reason, unset, calibration=calibration)
 
     @property
     def valid(self) -> NDArray[np.bool_]:
         """Where the height is to be trusted."""
         return np.asarray(self.reason == Reason.OK)
+
+    @property
+    def order_known(self) -> bool:
+        """Whether something measured fixes the fringe order; else phases and heights may be off by whole fringes."""
+        resolved = self.settings.get("resolved", {})
+        return bool(resolved.get("order") != ORDER_UP_TO_TURNS)
 
     @property
     def wrapped_rad(self) -> Image:
@@ -145,19 +189,13 @@ class Reconstruction:
         if self.calibration is None:
             raise DecodeError("points need a calibration: this reconstruction has heights only")
         camera = self.calibration.camera.projection()
-        if (camera.height, camera.width) != self.height_mm.shape:
-            raise DecodeError(
-                f"the calibration's camera is {camera.width} x {camera.height} pixels, the heights are "
-                f"{self.height_mm.shape[1]} x {self.height_mm.shape[0]}: set calibrated_at and resolution to match"
-            )
-        origin, direction = camera.rays(camera.pixel_centres())
-        t = (self.height_mm - origin[..., 2]) / direction[..., 2]
-        points = np.asarray(origin + t[..., None] * direction, dtype=np.float32)
-        points[..., 2] = self.height_mm  # not to the last bit otherwise
+        camera.require_shape(self.height_mm.shape, "the heights", DecodeError)
+        points = camera.points_at(self.height_mm).astype(np.float32)
+        points[..., 2] = self.height_mm  # Not to the last bit otherwise.
         return points
 
     def reason_fractions(self) -> dict[str, float]:
-        """Fraction of the pixels asked for under each reason that occurs; ``ok`` always stands.
+        """Fraction of the pixels asked for under each reason that occurs; ``ok`` is always present.
 
         >>> Reconstruction.of_heights([[0.0, float("nan")]]).reason_fractions()
         {'ok': 0.5, 'no-height': 0.5}
@@ -177,7 +215,7 @@ class Reconstruction:
             "sigma_mm": self.sigma_mm,
             "modulation_dn": self.modulation_dn,
             "offset_dn": self.offset_dn,
-            # whole numbers below 2048 are exact in half
+            # Whole numbers below 2048 are exact in half.
             "reason": self.reason.astype(np.float16),
             "exposure": self.exposure.astype(np.float16),
         }
@@ -192,6 +230,7 @@ class Reconstruction:
             "reasons": {reason.label: int(reason) for reason in Reason},
             "calibration": self.calibration and self.calibration.model_dump(mode="json"),
             "settings": dict(self.settings),
+            "scene": self.scene,
         }
         exr.write(path, KIND, channels, meta)
 
@@ -227,6 +266,8 @@ class Reconstruction:
                 if calibration is None
                 else Calibration.model_validate(calibration),
                 settings=dict(meta["settings"]),
+                # Files of version 0.1 do not name their scene.
+                scene=str(meta.get("scene", "")),
             )
         except (KeyError, TypeError, ValueError, AttributeError, ValidationError) as error:
             raise FileError(
@@ -238,7 +279,7 @@ def _orders(plane: Image) -> NDArray[np.int32]:
     if not np.isfinite(plane).all():
         raise ValueError("a fringe order is NaN or infinite")
     with np.errstate(invalid="ignore"):
-        # int32's largest number is no float32, and may stand where nothing was decoded
+        # int32's largest number is no float32, and may be where nothing was decoded.
         return plane.astype(np.int32)
 
 

@@ -1,7 +1,8 @@
-"""Make the gallery again: every shipped scene rendered, decoded and scored, its picture and its table.
+"""Make the gallery: every shipped scene rendered, decoded and scored, with its picture and its table.
 
-``python docs/make_gallery.py [SCENE ...]`` writes ``docs/gallery/*.webp`` and ``docs/gallery.md`` (all scenes unless some
-are named; the page is put together from all scores kept in ``docs/gallery/scores.json``).
+``python docs/make_gallery.py [SCENE ...]`` writes ``docs/gallery/*.webp`` and ``docs/gallery.md`` for all scenes or the named
+ones; the page is made from all scores in ``docs/gallery/scores.json``. With `bench` it also makes the README's picture and
+table.
 """
 
 import json
@@ -15,54 +16,70 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 import scenes
-from evaluation.sheet import Panel, contact_sheet
-from fringebench.run import Run, run
+from evaluation.output.sheet import Panel, contact_sheet
+from fringebench.experiments.whole_run import Run, run
 
 DOCS = Path(__file__).parent
 FOLDER = DOCS / "gallery"
 SCORES = FOLDER / "scores.json"
+# The scene in the README, and the surfaces in its table.
+FRONT = "bench"
+SURFACES = {"base": "matt paint", "ink": "black ink", "solder": "solder"}
+README = DOCS.parent / "README.md"
+START, END = "<!-- scores -->", "<!-- end of scores -->"
 UM_PER_MM = 1000.0
 WEBP_QUALITY = 80
 
 HEAD = """\
 # Gallery
 
-Every shipped scene: what the camera sees (mean of the middle exposure's frames), the height measured, and the error. Scores
-are of `fringebench run SCENE`, seed 0, with the default fusion (max-modulation). Made by `python docs/make_gallery.py`.
+For every shipped scene: the camera's image (mean of the frames of the middle exposure), the measured height, and the error. The
+scores are those of `fringebench run SCENE`, seed 0, with the default fusion (max-modulation). This page is made by
+`python docs/make_gallery.py`.
 
-RMS and predicted: root mean square error, and what the decoder expects of noise alone. Outliers: errors beyond five
-predicted standard deviations. One exposure: RMS of the middle exposure with saturation ignored.
+RMS: root mean square error. Predicted: the standard deviation that the decoder expects from noise alone. Outliers: errors above
+five predicted standard deviations. One exposure: RMS of the middle exposure with saturation ignored.
+
+The cameras of `emva1288` sensors blur by diffraction, 3.3 pixels across at f/8. A perfectly sharp lens (`--set sensor.psf=none`) would
+have RMS errors of 3.2 instead of 4.7 µm on the base of `bench`, 4.7 instead of 9.2 on its ink and 10.6 instead of 17.1 on its
+solder, 2.4 instead of 9.4 µm on `ink`; errors of pad volumes would be −0.7 instead of −2.2 % on `spi-four` and +0.1 instead of −6.7 %
+on `spi`. Blur acts next to edges and on solder, where brightness changes within a fringe.
 """
 
-TEACHES = {
-    "bench": "Start here. One exposure is silently wrong on solder; three mend most of it. What is left there is light that "
-    "met two domes, and the decoder does not know of it.",
-    "cap": "The reference: little but noise, and the prediction says how much.",
-    "step": "Beside a step the projector does not reach: an honest decoder gives no height there.",
-    "ink": "The exposure that suits the ink ruins the paint for a decoder that does not look for saturation. With both "
-    "exposures each surface has its own.",
-    "solder": "Highlights clip. Unnoticed, that costs five times the error of three exposures.",
-    "ink-solder": "Why several exposures: unnoticed saturation makes 4 µm on solder into 111, and the ink needs the light.",
-    "interreflection": "Error without noise: light by way of the other side of the groove biases heights, and the predicted "
-    "deviation does not know it.",
-    "mirror": "Nothing to decode, and nothing decoded.",
-    "defocus": "Blur lowers contrast, and with it precision: see predicted. A few pixels in a thousand, at the steps' edges, "
-    "take a wrong order, and they alone make the RMS.",
-    "translucent": "Heights below the surface with a small predicted deviation: the surest way to be wrong.",
-    "solder-grains": "Paste is no surface at this scale: heights scatter far beyond the sensor's noise.",
-    "spi": "Steep walls and gaps between deposits hold the errors; bare pads are mirrors that few pixels see lit.",
-    "spi-four": "What one projector leaves in shadow another lights: heights on 99.7 % of the paste, where any one of the four "
-    "alone gives 94 %, and on all of the mask between.",
-    "chapter": "34 µm of noise, as the chapter's formula says.",
+LESSONS = {
+    "bench": "Start here. With one exposure the heights on solder are silently wrong; three exposures remove most of the error. "
+    "The rest comes from the lens's blur and from light reflected by two domes, which the decoder does not detect.",
+    "cap": "The reference: noise, whose size the prediction gives, and blur where brightness changes.",
+    "step": "The projector's light does not arrive next to the step: a correct decoder gives no height there.",
+    "ink": "At the exposure that suits the ink the paint is saturated: a decoder that does not test for saturation is wrong "
+    "there. With both exposures each surface has its own.",
+    "solder": "Highlights clip. If this is not detected, the error is four times that with three exposures.",
+    "ink-solder": "Why several exposures are needed: undetected saturation increases the error on solder from 9 to 97 µm, and "
+    "the ink needs the light.",
+    "interreflection": "Error without noise: light reflected by the other side of the groove biases the heights, and the "
+    "predicted deviation does not contain it.",
+    "mirror": "There is nothing to decode, and nothing is decoded but for some pixels at the rim, to which blur brings the base's light.",
+    "defocus": "Blur lowers contrast and therefore precision (see predicted). A few pixels in a thousand, at the edges of the "
+    "steps, get a wrong order, and these alone determine the RMS.",
+    "translucent": "Heights below the surface with a small predicted deviation: a large error that nothing indicates.",
+    "solder-grains": "At this scale paste is not a surface: the scatter of heights is much larger than the sensor's noise.",
+    "spi": "The errors are at steep walls and gaps between deposits; bare pads are mirrors, and few of their pixels receive "
+    "light that reaches the camera.",
+    "spi-four": "Each projector illuminates shadows of the others: all of the paste gets a height, with any single projector "
+    "94 %; and so does all of the mask in between.",
+    "measured-rig": "A real scanner's optics ([measured](measured-rig.md)): its projector is in focus within a few centimetres only. "
+    "Elsewhere fringes lose contrast and orders contradict each other: with a projector lens of 1 mm all of the step would be "
+    "measured, with errors some fifteen times smaller.",
+    "chapter": "34 µm of noise, as the chapter's formula predicts.",
     "chapter-dim": "Modulation 15 instead of 80 DN: 5.4 times the noise. The default threshold, eight standard deviations of "
-    "phase, lets a sixth of the pixels pass; `fringebench chapter` scores all of them.",
-    "chapter-trap": "Rejecting clipped samples leaves the highlight empty. The chapter's mask, which asks for modulation "
-    "alone, lets it pass with 104 µm of error.",
+    "phase, accepts a sixth of the pixels; `fringebench chapter` scores all of them.",
+    "chapter-trap": "If clipped samples are rejected, the highlight has no heights. The chapter's mask, which tests only the "
+    "modulation, accepts it with an error of 104 µm.",
 }
 
 
 def main(names: list[str]) -> None:
-    """Render what is asked for, and write the page."""
+    """Render the named scenes (all if none is named) and write the page."""
     kept: dict[str, Any] = json.loads(SCORES.read_text()) if SCORES.exists() else {}
     for name in names or scenes.shipped():
         with tempfile.TemporaryDirectory() as folder:
@@ -78,52 +95,78 @@ def main(names: list[str]) -> None:
                 for label, region in done.score.regions.items()
             }
             (FOLDER / f"{name}.webp").write_bytes(picture(done))
+            if name == FRONT:
+                (FOLDER / "front.webp").write_bytes(front_picture(done))
         sys.stdout.write(f"{name}\n")
     SCORES.write_text(json.dumps({n: kept[n] for n in scenes.shipped()}, indent=1) + "\n")
     (DOCS / "gallery.md").write_text(page(kept), "utf-8")
+    before, _, rest = README.read_text("utf-8").partition(START)
+    README.write_text(before + front_table(kept[FRONT]) + rest.partition(END)[2], "utf-8")
 
 
 def picture(done: Run) -> bytes:
     """Camera, height and error side by side, as WebP."""
-    rec, truth, stack = done.reconstruction, done.truth, done.stack
-    light = stack.frames[len(stack.exposure_ms) // 2].mean(axis=0, dtype=np.float64)
+    middle = len(done.stack.exposure_ms) // 2
+    light = done.stack.frames[middle].mean(axis=0, dtype=np.float64)
+    title = f"camera, {done.stack.exposure_ms[middle]:.3g} ms"
+    return _webp([Panel(title, light, "DN", "gray"), *_results(done)])
+
+
+def front_picture(done: Run) -> bytes:
+    """One fringe frame, height and error side by side, as WebP."""
+    middle = len(done.stack.exposure_ms) // 2
+    frame = done.stack.frames[middle][0].astype(np.float64)
+    count = len(done.stack.exposure_ms) * len(done.stack.patterns)
+    return _webp([Panel(f"one of {count} raw frames", frame, "DN", "gray"), *_results(done)])
+
+
+def _results(done: Run) -> list[Panel]:
+    rec = done.reconstruction
     height = np.where(rec.valid, rec.height_mm, np.nan)
-    error = (height - truth.height_mm) * UM_PER_MM
+    error = (height - done.truth.height_mm) * UM_PER_MM
     known = np.abs(error[np.isfinite(error)])
     limit = float(np.percentile(known, 98.0)) if known.size else 1.0
-    sheet = contact_sheet(
-        [
-            Panel(
-                f"camera, {stack.exposure_ms[len(stack.exposure_ms) // 2]:.3g} ms",
-                light,
-                "DN",
-                "gray",
-            ),
-            Panel("height (gray: rejected)", height, "mm"),
-            Panel("error (measured − true)", error, "µm", "RdBu_r", (-limit, limit)),
-        ],
-        columns=3,
-    )
-    canvas = FigureCanvasAgg(sheet)
+    return [
+        Panel("height (gray: rejected)", height, "mm"),
+        Panel("error (measured − true)", error, "µm", "RdBu_r", (-limit, limit)),
+    ]
+
+
+def _webp(panels: list[Panel]) -> bytes:
+    canvas = FigureCanvasAgg(contact_sheet(panels, columns=3))
     canvas.draw()
     image = cv2.cvtColor(np.asarray(canvas.buffer_rgba()), cv2.COLOR_RGBA2BGR)
     _, data = cv2.imencode(".webp", image, [cv2.IMWRITE_WEBP_QUALITY, WEBP_QUALITY])
     return bytes(data)
 
 
+def front_table(score: dict[str, Any]) -> str:
+    """The README's table: RMS errors with one exposure and with all, next to the prediction."""
+    lines = [
+        START,
+        "| surface | predicted from noise | one exposure, saturation ignored | three exposures, fused |",
+    ]
+    lines += ["|---|--:|--:|--:|"]
+    for label, surface in SURFACES.items():
+        names = ("predicted_sd_mm", "naive_rms_mm", "rms_mm")
+        cells = [_number(score[label][name], UM_PER_MM, 1) for name in names]
+        lines.append(f"| {surface} | {' | '.join(cells)} |")
+    return "\n".join([*lines, END])
+
+
 def page(kept: dict[str, Any]) -> str:
     """The gallery's Markdown."""
-    order = [name for name in TEACHES if name in kept]
-    order += [name for name in kept if name not in TEACHES]
+    order = [name for name in LESSONS if name in kept]
+    order += [name for name in kept if name not in LESSONS]
     return "\n".join([HEAD, *(_section(name, kept[name]) for name in order)])
 
 
 def _section(name: str, score: dict[str, Any]) -> str:
     lines = [f"## {name}", "", scenes.load(name).description, ""]
-    if name in TEACHES:
-        lines += [f"**What it teaches.** {TEACHES[name]}", ""]
+    if name in LESSONS:
+        lines += [f"**Lesson.** {LESSONS[name]}", ""]
     image = f"gallery/{name}.webp"
-    lines += [f"[![{name}: camera, height, error]({image}){{ loading=lazy }}]({image})", ""]
+    lines += [f"[![{name}: camera, height, error]({image}){{loading=lazy}}]({image})", ""]
     lines += ["| region | valid % | RMS µm | predicted µm | outliers % | one exposure: RMS µm |"]
     lines += ["|---|--:|--:|--:|--:|--:|"]
     for label, region in score.items():

@@ -1,4 +1,4 @@
-"""The front door: the four rooms under one name.
+"""The front door: the rooms, the nouns and the verbs of fringebench under one name.
 
 >>> import fringebench as fb
 >>> fb.load("step").name
@@ -6,39 +6,51 @@
 """
 
 import importlib
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import decode
+    import evaluation
+    import render
+    import scenes
+    from decode import Reconstruction, reconstruct
+    from evaluation import Score, score
+    from fringebench.datasets.reader import Dataset
+    from fringebench.verbs import accept, budget, compare, dataset, regress, run
+    from render import Transport, expose, mitsuba_scene, trace, truth
+    from scenes import Scene, Stack, Truth, load, meshes
+
+    __version__: str
+
+__all__ = [
+    "Dataset", "Reconstruction", "Scene", "Score", "Stack", "Transport", "Truth", "__version__",
+    "accept", "budget", "compare", "dataset", "decode", "evaluation", "expose", "load", "meshes",
+    "mitsuba_scene", "reconstruct", "regress", "render", "run", "scenes", "score", "trace", "truth",
+]  # fmt: skip
 
 _ROOMS = ("scenes", "render", "decode", "evaluation")
-_VERBS = {
-    "load": "scenes",
-    "meshes": "scenes",
-    "Scene": "scenes",
-    "Stack": "scenes",
-    "Truth": "scenes",
-    "trace": "render",
-    "expose": "render",
-    "truth": "render",
-    "mitsuba_scene": "render",
-    "Transport": "render",
-    "reconstruct": "decode",
-    "Reconstruction": "decode",
-    "score": "evaluation",
-    "Score": "evaluation",
-    "Dataset": "fringebench.datasets.reader",
+_HOMES = {
+    "scenes": ("load", "meshes", "Scene", "Stack", "Truth"),
+    "render": ("trace", "expose", "truth", "mitsuba_scene", "Transport"),
+    "decode": ("reconstruct", "Reconstruction"),
+    "evaluation": ("score", "Score"),
+    "fringebench.verbs": ("run", "compare", "regress", "budget", "dataset", "accept"),
+    "fringebench.datasets.reader": ("Dataset",),
 }
-
-__all__ = [*_ROOMS, *_VERBS]  # noqa: PLE0604  names resolved by __getattr__
 
 
 def __getattr__(name: str) -> Any:
-    """Rooms load when first used: asking for help should not wait for a renderer."""
+    """Load a room when it is first used: asking for help must not wait for a renderer."""
     if name in _ROOMS:
         return importlib.import_module(name)
-    if name in _VERBS:
-        return getattr(importlib.import_module(_VERBS[name]), name)
+    if name == "__version__":
+        return importlib.import_module("importlib.metadata").version("fringebench")
+    for home, names in _HOMES.items():
+        if name in names:
+            return getattr(importlib.import_module(home), name)
     raise AttributeError(f"module 'fringebench' has no attribute '{name}'")
 
 
 def __dir__() -> list[str]:
-    """For completion in a shell or an editor."""
+    """Names for completion in a shell or an editor."""
     return sorted({*globals(), *__all__})

@@ -1,5 +1,5 @@
 """``python -m fringebench``."""
 
-from fringebench.cli import main
+from fringebench.cli.app import main
 
 main()

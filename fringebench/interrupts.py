@@ -1,8 +1,8 @@
-"""Ctrl-C is heard where it does no harm.
+"""Ctrl-C takes effect where it does no harm.
 
-A `KeyboardInterrupt` that is raised while native code calls back into Python (Dr.Jit tracing a loop, Mitsuba importing its
-variant) cannot pass through it: the process aborts, or the interrupt turns into a `SystemError`. So while a step runs the
-signal is only noted, and raised when the step next says how far it is, or ends.
+A `KeyboardInterrupt` raised while native code calls back into Python (Dr.Jit tracing a loop, Mitsuba importing its variant)
+cannot pass through it: the process aborts, or the interrupt turns into a `SystemError`. So while a step runs the signal is
+only recorded; it is raised when the step next reports progress, or ends.
 """
 
 import signal
@@ -12,50 +12,50 @@ from contextlib import contextmanager
 from types import FrameType
 
 
-class Patience:
-    """A signal handler that waits; asked twice, it does not."""
+class DeferredInterrupt:
+    """Holds SIGINT until checked; a second signal raises at once."""
 
     def __init__(self) -> None:
-        self.asked = False
+        self.pending = False
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        """Note the signal."""
-        if self.asked:
+        """Record the signal."""
+        if self.pending:
             raise KeyboardInterrupt
-        self.asked = True
+        self.pending = True
 
     def check(self) -> None:
-        """Raise `KeyboardInterrupt` if asked to."""
-        if self.asked:
-            self.asked = False
+        """Raise `KeyboardInterrupt` if a signal is pending."""
+        if self.pending:
+            self.pending = False
             raise KeyboardInterrupt
 
 
 @contextmanager
-def patient() -> Iterator[Patience]:
-    """While the block runs SIGINT waits for `Patience.check`, or the block's end.
+def deferred_interrupt() -> Iterator[DeferredInterrupt]:
+    """While the block runs, SIGINT waits for `DeferredInterrupt.check` or the end of the block.
 
-    What fails after the signal, a child process that got it too, say, is taken for its consequence. In another thread than
-    the main one, or where a program has a handler of its own, nothing changes.
+    An exception raised after the signal is taken as its consequence: a child process may have received the signal too.
+    Outside the main thread, or where a program has its own handler, nothing changes.
     """
     handler = signal.getsignal(signal.SIGINT)
-    if isinstance(handler, Patience):  # a step within a step
+    if isinstance(handler, DeferredInterrupt):  # a step within a step
         yield handler
         handler.check()
         return
-    waiting = Patience()
-    ours = (
+    deferred = DeferredInterrupt()
+    installed = (
         handler is signal.default_int_handler
         and threading.current_thread() is threading.main_thread()
     )
-    if ours:
-        signal.signal(signal.SIGINT, waiting)
+    if installed:
+        signal.signal(signal.SIGINT, deferred)
     try:
-        yield waiting
+        yield deferred
     except Exception:
-        waiting.check()
+        deferred.check()
         raise
     finally:
-        if ours:
+        if installed:
             signal.signal(signal.SIGINT, handler)
-    waiting.check()
+    deferred.check()

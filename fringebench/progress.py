@@ -1,4 +1,4 @@
-"""What a long step is doing and for how much longer: bars on a terminal, lines where asked for, else silence."""
+"""Progress of long steps: bars on a terminal, plain lines when piped, nothing where it is switched off."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -16,16 +16,17 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from fringebench.interrupts import patient
+from fringebench.interrupts import deferred_interrupt
 
-# Seconds between plain lines.
+# Seconds between plain lines, and before the first one when the output is piped and lines were not requested.
 PLAIN_S = 3.0
+PIPED_S = 30.0
 
 Show = Callable[[float, str], None]
-"""Shows the share of a step that is done, from 0 to 1, and words about it."""
+"""Shows the share of a step that is done, from 0 to 1, and a text about it."""
 
 
-class Report:
+class StepProgress:
     """Called with the share of a step that is done, from 0 to 1."""
 
     def __init__(self, show: Show, check: Callable[[], None]) -> None:
@@ -37,7 +38,7 @@ class Report:
         self._check()
 
     def detail(self, text: str) -> None:
-        """Words that stand beside the share from the next call on: which part is being done."""
+        """Text shown next to the share from the next call on: which part is being done."""
         self._detail = text
 
 
@@ -45,66 +46,74 @@ class Mode(StrEnum):
     """How progress is shown."""
 
     AUTO = "auto"
-    """Bars on a terminal, nothing when piped."""
+    """Bars on a terminal; when piped, lines for steps that take longer than half a minute."""
     PLAIN = "plain"
-    """Lines, also when piped."""
+    """Lines every few seconds."""
     NONE = "none"
 
 
 class Steps:
-    """Shows each long step while it runs.
+    """Shows each long step while it runs, and measures its time; shows nothing without a console.
 
-    >>> with Steps().step("add") as done:
-    ...     total = 0
+    >>> steps = Steps()
+    >>> with steps.step("add") as done:
     ...     for i in range(10):
-    ...         total += i
     ...         done((i + 1) / 10)
+    >>> list(steps.seconds)
+    ['add']
     """
 
     def __init__(self, console: Console | None = None, mode: Mode = Mode.AUTO) -> None:
         self._console, self._mode = console, mode
         self._bars: Progress | None = None
         self.seconds: dict[str, float] = {}
-        """What each step that ended has taken."""
+        """Time that each finished step took."""
 
     @contextmanager
-    def step(self, name: str) -> Iterator[Report]:
-        """Show `name` while the block runs; the block may report how far it is.
+    def step(self, name: str) -> Iterator[StepProgress]:
+        """Show `name` while the block runs; the block may report its progress.
 
-        Ctrl-C waits for the next report or the block's end (`fringebench.interrupts`).
+        Ctrl-C takes effect at the next report or at the end of the block (`fringebench.interrupts`).
         """
         start = time.perf_counter()
-        with patient() as waiting, self._shown(name) as show:
-            yield Report(show, waiting.check)
+        with deferred_interrupt() as interrupt, self.shown(name) as show:
+            yield StepProgress(show, interrupt.check)
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
 
     @contextmanager
-    def _shown(self, name: str) -> Iterator[Show]:
+    def shown(self, name: str, resumes: bool = False) -> Iterator[Show]:
+        """Show `name` while the block runs, without deferring Ctrl-C.
+
+        With `resumes` the first share reported was done by an earlier run, and says nothing about the speed of this one.
+        """
         if self._console is None or self._mode is Mode.NONE:
             yield _silent
-        elif self._mode is Mode.PLAIN:
-            with _lines(self._console, name) as show:
-                yield show
-        elif self._console.is_terminal:
-            with self._bar(self._console, name) as show:
+        elif self._mode is Mode.AUTO and self._console.is_terminal and self._console.color_system:
+            with self._bar(self._console, name, resumes) as show:
                 yield show
         else:
-            yield _silent
+            with _lines(self._console, name, resumes, self._mode is Mode.PLAIN) as show:
+                yield show
 
     @contextmanager
-    def _bar(self, console: Console, name: str) -> Iterator[Show]:
+    def _bar(self, console: Console, name: str, resumes: bool) -> Iterator[Show]:
         outermost = self._bars is None
         if self._bars is None:
-            # One display for steps within steps: a terminal has room for one.
-            self._bars = bars(console)
+            # One display for nested steps: a terminal has room for one.
+            self._bars = _progress_bars(console)
         shown = self._bars
         if outermost:
             shown.start()
         task = shown.add_task(name, total=None)
+        started = not resumes
 
         def show(share: float, detail: str) -> None:
-            words = f"{name}: {detail}" if detail else name
-            shown.update(task, description=words, completed=share, total=1.0)
+            nonlocal started
+            text = f"{name}: {detail}" if detail else name
+            if not started:
+                shown.reset(task, total=1.0, completed=share)  # type: ignore[arg-type]
+                started = True
+            shown.update(task, description=text, completed=share, total=1.0)
 
         try:
             yield show
@@ -115,8 +124,8 @@ class Steps:
                 self._bars = None
 
 
-def bars(console: Console) -> Progress:
-    """The look of every bar; gone when it is done."""
+def _progress_bars(console: Console) -> Progress:
+    """Bars that disappear when they are done."""
     return Progress(
         SpinnerColumn(),
         TextColumn("{task.description}"),
@@ -126,26 +135,28 @@ def bars(console: Console) -> Progress:
         TimeRemainingColumn(),
         console=console,
         transient=True,
+        # A sample of a data set may take minutes.
+        speed_estimate_period=600.0,
     )
 
 
-class Lines:
+class _Lines:
     """Progress of one step as plain lines, every few seconds."""
 
-    def __init__(self, console: Console, name: str, resumes: bool = False) -> None:
+    def __init__(self, console: Console, name: str, resumes: bool, wait_s: float) -> None:
         self._console, self._name = console, name
-        self._start = self._last = time.monotonic()
-        # What an interrupted run had done before is no measure of this one's speed.
+        self._start = time.monotonic()
+        self._due = self._start + wait_s
         self._first = None if resumes else 0.0
 
     def report(self, share: float, detail: str = "") -> None:
-        """How far it is."""
+        """Print the share done and the time left, if a line is due."""
         now = time.monotonic()
         if self._first is None:
             self._first = share
-        if now - self._last < PLAIN_S or share <= self._first:
+        if now < self._due or share <= self._first:
             return
-        self._last = now
+        self._due = now + PLAIN_S
         left_s = (now - self._start) * (1.0 - share) / (share - self._first)
         self.say(
             ", ".join(filter(None, (f"{100 * share:.0f} %", detail, f"about {left_s:.0f} s left")))
@@ -157,12 +168,15 @@ class Lines:
 
 
 @contextmanager
-def _lines(console: Console, name: str) -> Iterator[Show]:
-    lines = Lines(console, name)
+def _lines(console: Console, name: str, resumes: bool, requested: bool) -> Iterator[Show]:
+    """Lines from the start if they were requested, else only if the step takes long."""
+    lines = _Lines(console, name, resumes, PLAIN_S if requested else PIPED_S)
     start = time.monotonic()
-    lines.say("started")
+    if requested:
+        lines.say("started")
     yield lines.report
-    lines.say(f"done in {time.monotonic() - start:.1f} s")
+    if requested:
+        lines.say(f"done in {time.monotonic() - start:.1f} s")
 
 
 def _silent(share: float, detail: str) -> None:

@@ -1,4 +1,4 @@
-"""Pytest fixtures that put the gate beside a team's own tests; active wherever fringebench is installed.
+"""Pytest fixtures that put the gate into a team's own tests; active wherever fringebench is installed.
 
     def test_decoder_is_no_worse_than_it_was(fringebench_regress):
         fringebench_regress("my_package.decoder:decode", baseline="tests/decoder-baseline.json")
@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from fringebench.regress import Regression
-    from fringebench.suite import Case
+    from fringebench.gate.cases import Case
+    from fringebench.gate.regression_gate import Regression
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -28,22 +28,25 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 @pytest.fixture(scope="session")
 def fringebench_cases() -> "tuple[Case, ...]":
     """The suite's cases, prepared once a session."""
-    from fringebench.suite import suite
+    from fringebench.gate.cases import suite
 
     return suite()
 
 
 @pytest.fixture
-def fringebench_regress(
-    request: pytest.FixtureRequest, fringebench_cases: "tuple[Case, ...]"
-) -> "Callable[..., Regression]":
-    """Function like `fringebench.regress.regress` that fails the test, naming case and region, when a decoder got worse."""
-    from fringebench.regress import regress
+def fringebench_regress(request: pytest.FixtureRequest) -> "Callable[..., Regression]":
+    """The function `fringebench.gate.regression_gate.regress`; it fails the test, naming case and region, if a decoder got worse.
+
+    The shipped cases are made once a session; with ``scenes=[...]`` the test's own scenes are judged.
+    """
+    from fringebench.gate.regression_gate import regress
 
     update = bool(request.config.getoption("--fringebench-update"))
 
     def run(decoder: Any, baseline: Any = None, **choices: Any) -> "Regression":
-        choices = {"cases": fringebench_cases, "update": update and baseline is not None, **choices}
+        if not choices.get("scenes"):
+            choices = {"cases": request.getfixturevalue("fringebench_cases"), **choices}
+        choices = {"update": update and baseline is not None, **choices}
         found = regress(decoder, baseline, **choices)
         if not found.passed:
             pytest.fail(

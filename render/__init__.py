@@ -1,19 +1,15 @@
-"""Light: a scene becomes linear transport, digital numbers and truth."""
+"""Light: turns a scene into linear transport, digital numbers and truth."""
 
-from render.expose import expose
-from render.mitsuba_scene import mitsuba_scene
-from render.refine import trace
-from render.surfaces import Surfaces, surfaces
-from render.transport import PhaseError, Transport
-from render.truth import truth
+from render.chip_image import through_lens
+from render.exposure import expose
+from render.ground_truth import truth
+from render.pathtracer.until_converged import trace
+from render.plugins.scene_translation import mitsuba_scene
+from render.plugins.shared_surfaces import Surfaces, surfaces
+from render.transport import PhaseError, RenderNoise, Transport
+from render.vibration import height_slope
 
 __all__ = [
-    "PhaseError",
-    "Surfaces",
-    "Transport",
-    "expose",
-    "mitsuba_scene",
-    "surfaces",
-    "trace",
-    "truth",
-]
+    "PhaseError", "RenderNoise", "Surfaces", "Transport", "expose", "height_slope", "mitsuba_scene",
+    "surfaces", "through_lens", "trace", "truth",
+]  # fmt: skip

@@ -1,6 +1,6 @@
 """Linear light: what each camera pixel returns of each basis channel."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -8,15 +8,20 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes import exr, exr_bands, mapped
-from scenes.basis import Basis, Channel
-from scenes.errors import FileError, RenderError, SceneError
-from scenes.exr_bands import Bands
-from scenes.frozen import in_words
-from scenes.load import dumps, parse
+from render.fringe_phasor import finest_fringes, measuring_axis
+from scenes.acquisition.pattern_basis import Basis, Channel
+from scenes.files import exr, exr_rows
+from scenes.files.exr_rows import Bands
 from scenes.scene import Sampling, Scene
+from scenes.scene_files import dumps, parse
+from scenes.support import mapped
+from scenes.support.errors import FileError, RenderError, SceneError
+from scenes.support.notebook import Displayed, Plane
+from scenes.support.validation_words import in_words
 
 KIND = "transport"
+# A ratio that was reached may miss its target by so much, its own uncertainty, and count as met.
+TOLERANCE = 1.05
 
 
 @dataclass(frozen=True)
@@ -43,8 +48,32 @@ class PhaseError:
         return asdict(self) | {"met": self.met}
 
 
-@dataclass(frozen=True, eq=False)
-class Transport:
+@dataclass(frozen=True)
+class RenderNoise:
+    """Noise of light paths over the sensor's, in a trace that was to bring it below a target."""
+
+    target: float
+    """What was asked for."""
+    reached: Mapping[str, float | None]
+    """Label -> root mean square of the light's noise over that of the sensor's, over its lit pixels that can be measured;
+    None: there is none."""
+    paths: int
+    """Light paths of all pixels."""
+
+    @property
+    def met(self) -> bool:
+        """Whether every label is below the target, but for the figure's own uncertainty."""
+        return all(
+            ratio is None or ratio <= TOLERANCE * self.target for ratio in self.reached.values()
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, always valid JSON."""
+        return asdict(self) | {"met": self.met}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Transport(Displayed):
     """The response of every camera pixel to a basis of the patterns, in radiance, W/(m^2 sr).
 
     Linear light: `frames` turns it into images of any patterns the basis spans, and `render.expose` into a stack.
@@ -67,11 +96,57 @@ class Transport:
     depth: int
     phase_error: PhaseError | None = None
     """Of a trace that went on until it was small enough; None: the samples were given."""
+    noise_rad: NDArray[np.float32] | None = None
+    """(fringe, projector, row, col) standard deviation of the phase of each axis's finest fringe from light paths alone, in the
+    order of `render.fringe_phasor.finest_fringes`; NaN where a pixel has no fringe. None: not known."""
+    render_noise: RenderNoise | None = None
+    """Of a trace that was to bring it below a share of the sensor's noise."""
+
+    @property
+    def render_noise_rad(self) -> NDArray[np.float32] | None:
+        """(row, col) standard deviation of the finest phase from light paths alone, rad, of the first projector's axis that
+        measures height; None if it is not known."""
+        if self.noise_rad is None:
+            return None
+        axes = [fringe.axis for fringe in finest_fringes(self.scene.patterns, self.bases)]
+        image: NDArray[np.float32] = self.noise_rad[measuring_axis(self.scene, axes), 0]
+        return image
+
+    def _facts(self) -> dict[str, str]:
+        rows, columns = self.ambient.shape
+        return {
+            "scene": self.scene.name,
+            "size": f"{columns} x {rows} px",
+            "channels": str(sum(len(basis.channels) for basis in self.bases)),
+            "samples": str(self.samples),
+            "seed": str(self.seed),
+        }
+
+    def _planes(self) -> list[Plane]:
+        return [
+            Plane(f"Projector {p}: {basis.channels[0].name}", "W/(m² sr)", self.total[p, 0])
+            for p, basis in enumerate(self.bases)
+        ]
 
     def frames(self, projector: int = 0, direct_only: bool = False) -> NDArray[np.float32]:
-        """Radiance of the scene's patterns from one projector, ambient light included, (frame, row, col).
+        """Radiance of the scene's patterns from one projector, ambient light included.
 
-        Raises `RenderError` for a projector the scene lacks.
+        Parameters
+        ----------
+        projector
+            Index of the projector.
+        direct_only
+            Whether to leave out interreflected light.
+
+        Returns
+        -------
+        ndarray of float32, (frame, row, col)
+            Radiance, W/(m^2 sr).
+
+        Raises
+        ------
+        RenderError
+            The scene does not have this projector.
         """
         if not 0 <= projector < len(self.bases):
             raise RenderError(
@@ -96,8 +171,16 @@ class Transport:
             for c in range(len(basis.channels)):
                 channels[f"P{p}.total.C{c:03d}"] = self.total[p, c]
                 channels[f"P{p}.direct.C{c:03d}"] = self.direct[p, c]
+        for (f, p), name in self._noise_layers().items():
+            assert self.noise_rad is not None
+            channels[name] = self.noise_rad[f, p]
         meta = {
-            "units": {"total": "W/(m^2 sr)", "direct": "W/(m^2 sr)", "ambient": "W/(m^2 sr)"},
+            "units": {
+                "total": "W/(m^2 sr)",
+                "direct": "W/(m^2 sr)",
+                "ambient": "W/(m^2 sr)",
+                "render_noise_rad": "rad",
+            },
             "labels": list(self.labels),
             "bases": [
                 {
@@ -111,13 +194,18 @@ class Transport:
             "samples": self.samples,
             "depth": self.depth,
             "phase_error": None if self.phase_error is None else asdict(self.phase_error),
+            "render_noise": None if self.render_noise is None else asdict(self.render_noise),
         }
         exr.write(path, KIND, channels, meta)
+
+    def _noise_layers(self) -> dict[tuple[int, int], str]:
+        """Number of fringe and projector -> layer of `noise_rad`."""
+        return {} if self.noise_rad is None else noise_layers(self.scene, self.bases)
 
     @classmethod
     def read(cls, path: str | Path) -> Self:
         """Read a transport file; raises `FileError` on anything but a whole one of this version."""
-        with exr_bands.reading(path, KIND) as bands:
+        with exr_rows.reading(path, KIND) as bands:
             meta = bands.meta
             try:
                 sampling = Sampling(samples=meta["samples"], depth=meta["depth"])
@@ -131,7 +219,10 @@ class Transport:
                     )
                     for stored in meta["bases"]
                 )
-                light, ambient, label = _images(bands, bases, f"'{path}'")
+                scene = parse(str(meta["scene"]), where=str(path))
+                light, ambient, label, noise = _images(
+                    bands, bases, noise_layers(scene, bases), f"'{path}'"
+                )
                 return cls(
                     light[0],
                     light[1],
@@ -139,11 +230,13 @@ class Transport:
                     label,
                     tuple(str(label) for label in meta["labels"]),
                     bases,
-                    parse(str(meta["scene"]), where=str(path)),
+                    scene,
                     int(meta["seed"]),
                     sampling.samples,
                     sampling.depth,
                     _phase_error(meta.get("phase_error")),
+                    noise,
+                    _render_noise(meta.get("render_noise")),
                 )
             except (KeyError, TypeError, ValueError, SceneError) as error:
                 raise FileError(
@@ -151,10 +244,30 @@ class Transport:
                 ) from error
 
 
+def noise_layers(scene: Scene, bases: Sequence[Basis]) -> dict[tuple[int, int], str]:
+    """Number of fringe and projector -> layer of the light paths' noise in a transport file."""
+    fringes = finest_fringes(scene.patterns, bases)
+    layers = {
+        (f, p): f"P{p}.render_noise_rad.{fringe.axis}"
+        for f, fringe in enumerate(fringes)
+        for p in range(len(bases))
+    }
+    if fringes:
+        measuring = measuring_axis(scene, [fringe.axis for fringe in fringes])
+        layers[measuring, 0] = "render_noise_rad"
+    return layers
+
+
 def _images(
-    bands: Bands, bases: Sequence[Basis], source: str
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint16]]:
-    """Light (total and direct, projector, channel, row, col), ambient light and labels; `KeyError` if one is missing."""
+    bands: Bands, bases: Sequence[Basis], layers: Mapping[tuple[int, int], str], source: str
+) -> tuple[
+    NDArray[np.float32], NDArray[np.float32], NDArray[np.uint16], NDArray[np.float32] | None
+]:
+    """Light (total and direct, projector, channel, row, col), ambient light, labels, and noise in those layers, if any.
+
+    Raises `KeyError` if one of the others is missing.
+    """
+    noise: NDArray[np.float32] | None = None
     most = max(len(basis.channels) for basis in bases)
     ambient, label = np.empty((0, 0), np.float32), np.empty((0, 0), np.uint16)
     light: NDArray[Any] | None = None
@@ -171,9 +284,15 @@ def _images(
                     images[p, c, rows] = channels[f"P{p}.{kind}.C{c:03d}"]
         ambient[rows] = channels["ambient"]
         label[rows] = exr.whole(channels["label"], np.uint16)
-        mapped.let_go(light)
+        if layers and all(name in channels for name in layers.values()):
+            if noise is None:
+                fringes = 1 + max(f for f, _ in layers)
+                noise = np.empty((fringes, len(bases), *bands.size), np.float32)
+            for (f, p), name in layers.items():
+                noise[f, p, rows] = channels[name]
+        mapped.release_pages(light)
     assert light is not None  # an image has a row
-    return light, ambient, label
+    return light, ambient, label, noise
 
 
 def _phase_error(stored: dict[str, Any] | None) -> PhaseError | None:
@@ -186,3 +305,13 @@ def _phase_error(stored: dict[str, Any] | None) -> PhaseError | None:
         pixels=int(stored["pixels"]),
         **{name: None if value is None else float(value) for name, value in numbers.items()},
     )
+
+
+def _render_noise(stored: dict[str, Any] | None) -> RenderNoise | None:
+    if stored is None:
+        return None
+    reached = {
+        str(label): None if ratio is None else float(ratio)
+        for label, ratio in stored["reached"].items()
+    }
+    return RenderNoise(float(stored["target"]), reached, int(stored["paths"]))

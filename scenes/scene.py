@@ -1,4 +1,4 @@
-"""A scene: everything that decides what the camera sees. Frozen and validated."""
+"""A scene: everything that determines what the camera sees. Frozen and validated."""
 
 from typing import Annotated, Literal, Self
 
@@ -7,30 +7,33 @@ import trimesh
 from numpy.typing import NDArray
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
-from scenes.board import Board
-from scenes.distribution import Distribution
-from scenes.emission import Camera, Projector
-from scenes.errors import nearest
-from scenes.frozen import Frozen
-from scenes.materials import LIBRARY, Material
-from scenes.patterns import Frame, Patterns
-from scenes.rig import Vector
-from scenes.sensor import Sensor, SimpleSensor
-from scenes.shapes import Shape
+from scenes.acquisition.patterns import Frame, Patterns
+from scenes.acquisition.sensor import Sensor, SimpleSensor
+from scenes.board.board import Board
+from scenes.rig.calibration import Calibration
+from scenes.rig.devices import Vector
+from scenes.rig.projectors import Camera, Projector
+from scenes.shapes.materials import LIBRARY, Material
+from scenes.shapes.solids import Shape
+from scenes.support.distribution import Distribution
+from scenes.support.errors import nearest
+from scenes.support.frozen import Frozen
 
-# Beyond, a sum in float32 no longer grows by one sample.
-MOST_SAMPLES = 2**24
-# Finer, the phase of light in float32 is rounded.
-FINEST_PHASE_ERROR_RAD = 1e-6
+# Beyond this, a float32 sum no longer grows by one sample.
+MAX_SAMPLES = 2**24
+# Float32 rounds the phase of light to about this.
+MIN_PHASE_ERROR_RAD = 1e-6
+# Below this a pass would need too many paths.
+MIN_RENDER_NOISE = 0.01
 
 Label = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=64)]
 
 
 class Object(Frozen):
-    """A shape, placed, of one material, under one label."""
+    """A placed shape with a material and a label."""
 
     label: Label
-    """Region the object is scored under; several objects may share one."""
+    """Region under which the object is scored; several objects may share one."""
     shape: Shape
     material: str
     """Name of a material of the scene or of the library."""
@@ -41,7 +44,13 @@ class Object(Frozen):
     """Shade with vertex normals: for curved mirrors and metals."""
 
     def placement(self) -> NDArray[np.float64]:
-        """The 4 x 4 transform from the shape's frame to the world."""
+        """Transform from the shape's frame to the world.
+
+        Returns
+        -------
+        ndarray of float64, (4, 4)
+            Homogeneous matrix; translation in mm.
+        """
         transform = trimesh.transformations.euler_matrix(
             *np.deg2rad(self.rotation_deg), axes="sxyz"
         )
@@ -53,10 +62,14 @@ class Ambient(Frozen):
     """Unmodulated light from all directions."""
 
     radiance_w_m2_sr: NonNegativeFloat = 0.0
+    flicker_hz: NonNegativeFloat = 100.0
+    """Frequency of its flicker: twice the mains'."""
+    flicker_depth: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
+    """Amplitude of its flicker over its mean."""
 
 
 class AutoExposure(Frozen):
-    """Bring one label to one digital number by scaling the exposure time."""
+    """Scale the exposure times so that one label reaches a digital number."""
 
     label: Label
     level_dn: PositiveFloat
@@ -65,7 +78,7 @@ class AutoExposure(Frozen):
 
 
 class Exposures(Frozen):
-    """The exposures taken of every pattern: times as given, or relative times scaled by `auto`."""
+    """Exposures of every pattern: fixed times, or relative times scaled by `auto`."""
 
     times_ms: Annotated[tuple[PositiveFloat, ...], Field(min_length=1)] | None = None
     relative: Annotated[tuple[PositiveFloat, ...], Field(min_length=1)] = (1.0,)
@@ -87,33 +100,50 @@ class Exposures(Frozen):
 
     @property
     def count(self) -> int:
-        """How many exposures are taken."""
+        """Number of exposures."""
         return len(self.times_ms or self.relative)
+
+
+class Acquisition(Frozen):
+    """What pictures cost on the machine: `fringebench compare --budget cycle-time` charges it."""
+
+    overhead_ms: NonNegativeFloat = 5.0
+    """Time of a frame besides its exposure: readout of the camera, switch of the pattern, refresh of the projector."""
+    min_exposure_ms: NonNegativeFloat = 0.0
+    """Shortest exposure of the camera; strategies that need a shorter one are left out."""
 
 
 class Sampling(Frozen):
     """How finely light is simulated."""
 
-    samples: Annotated[int, Field(ge=1, le=MOST_SAMPLES)] = 64
-    """Light paths per pixel; with `phase_error_rad`, of each of the first passes."""
+    samples: Annotated[int, Field(ge=1, le=MAX_SAMPLES)] = 64
+    """Points of a pixel at which direct light is evaluated where it varies, a quarter of them where it is smooth; indirect
+    light gets a quarter as many paths to as many, on average over the image. With `phase_error_rad`: of each first pass.
+    Even numbers: points come in opposite pairs, and an odd one has 25 times the phase noise of direct light (`bench`, 31
+    against 30 and 32)."""
     depth: Annotated[int, Field(ge=1, le=64)] = 3
     """Surfaces the projector's light may meet on its way to the camera; 1 is direct light only."""
-    phase_error_rad: Annotated[float, Field(ge=FINEST_PHASE_ERROR_RAD, le=1.0)] | None = None
+    phase_error_rad: Annotated[float, Field(ge=MIN_PHASE_ERROR_RAD, le=1.0)] | None = None
     """Trace passes until 95 % of the lit pixels have less noise of light in the finest fringe's phase; absent: trace
     `samples`."""
-    most_samples: Annotated[int, Field(ge=1, le=MOST_SAMPLES)] = 16384
-    """With `phase_error_rad`: stop here, with a warning, if it is not reached."""
+    render_noise: Annotated[float, Field(ge=MIN_RENDER_NOISE, le=1e3)] | None = None
+    """Trace until the noise of light paths in the finest fringe's phase is below this share of the sensor's, root mean square
+    over each label's lit pixels; absent: trace `samples`."""
+    labels: tuple[Label, ...] | None = None
+    """With `render_noise`: the labels that must reach it; absent: all."""
+    most_samples: Annotated[int, Field(ge=1, le=MAX_SAMPLES)] = 16384
+    """With `phase_error_rad` or `render_noise`: stop here, with a warning, if it is not reached."""
 
 
 class Scene(Frozen):
-    """What stands before the camera, and how it is lit, shown and taken."""
+    """Objects, rig, patterns, sensor and exposures: all that `render` needs."""
 
     name: str = "untitled"
-    """Of the scene, in reports and as the folder's default."""
+    """Name of the scene, in reports and as the default output folder."""
     description: str = ""
-    """One line: what it shows."""
+    """One line on what the scene shows."""
     camera: Camera
-    """The one that takes the frames."""
+    """The camera that takes the frames."""
     projectors: Annotated[tuple[Projector, ...], Field(min_length=1, max_length=16)]
     """Each shows all patterns, one projector after the other."""
     objects: tuple[Object, ...] = ()
@@ -121,21 +151,31 @@ class Scene(Frozen):
     board: Board | None = None
     """A circuit board with solder paste, its laminate's surface at z = 0."""
     materials: dict[str, Material] = {}
-    """Name -> a material of the scene's own, beside or instead of the library's."""
+    """Name -> the scene's own material, in addition to or instead of the library's."""
     ambient: Ambient = Ambient()
-    """Light that is not the projectors'."""
+    """Light from other sources than the projectors."""
+    vibration_um: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
+    """Standard deviation of the scene's height from one picture to the next."""
     patterns: Patterns
-    """What the projectors show."""
+    """Patterns that the projectors show."""
     sensor: Sensor = SimpleSensor()
-    """How light becomes digital numbers."""
+    """Model that turns light into digital numbers."""
     exposures: Exposures
-    """How long each pattern is exposed, and how often."""
+    """Exposure times of each pattern."""
+    acquisition: Acquisition = Acquisition()
+    """Overhead of a frame, and the shortest exposure."""
     sampling: Sampling = Sampling()
-    """Light paths, and how many surfaces they may meet."""
+    """Number and depth of light paths."""
     height_range_mm: tuple[float, float]
-    """Lowest and highest z expected: the working volume, which decoding may use to find the fringe order."""
+    """Minimum and maximum z expected: the working volume, which decoding may use to find the fringe order."""
     randomise: dict[str, Distribution] = {}
     """Dotted key of this scene -> the distribution that `scenes.realise` draws it from for each sample."""
+
+    def calibration(self) -> Calibration:
+        """The perfect calibration of this scene's rig."""
+        return Calibration(
+            camera=self.camera, projectors=self.projectors, height_range_mm=self.height_range_mm
+        )
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -143,7 +183,7 @@ class Scene(Frozen):
         if not low < high:
             raise ValueError(f"height_range_mm {[low, high]}: the first must be below the second")
         if not self.objects and self.board is None:
-            raise ValueError("nothing to see: give objects, or a board")
+            raise ValueError("the scene is empty: give objects, or a board")
         known = LIBRARY.keys() | self.materials.keys()
         for name in self.board.materials if self.board else ():
             if name not in known:
@@ -157,7 +197,7 @@ class Scene(Frozen):
         auto = self.exposures.auto
         if auto and auto.label not in self.labels:
             raise ValueError(
-                f"exposures.auto.label '{auto.label}' is no object's label: use one of {list(self.labels)}"
+                f"exposures.auto.label '{auto.label}' is not an object's label: use one of {list(self.labels)}"
             )
         for index, projector in enumerate(self.projectors):
             self._check_rig(index, projector)
@@ -182,5 +222,5 @@ class Scene(Frozen):
 
     @property
     def frames(self) -> tuple[Frame, ...]:
-        """Every frame shown, in order, of all projectors."""
+        """All frames of all projectors, in the order shown."""
         return self.patterns.frames(len(self.projectors))

@@ -1,6 +1,6 @@
 """One COCO file for each split, ``coco/train.json`` and so on, merged from the samples' labels.
 
-Written piece by piece: ten thousand boards make a gigabyte of labels, which need not be in memory at once.
+Written piece by piece: the labels of ten thousand boards are a gigabyte and need not fit into memory.
 """
 
 import json
@@ -8,14 +8,16 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from fringebench.datasets.plan import Plan
+from fringebench.datasets.dataset_plan import DatasetPlan
 from fringebench.datasets.sample import Record
 from fringebench.datasets.store import Store
-from scenes.coco import categories
-from scenes.errors import DatasetError
+from scenes.labels.coco_format import categories
+from scenes.support.errors import DatasetError
 
 
-def write(plan: Plan, store: Store, records: tuple[Record, ...], folder: Path) -> dict[str, Path]:
+def write(
+    plan: DatasetPlan, store: Store, records: tuple[Record, ...], folder: Path
+) -> dict[str, Path]:
     """Write every split's file into a local folder; name in the data set -> path. Empty splits get one too.
 
     Images and annotations come in the order of samples, image ids are index + 1, annotation ids count from 1.

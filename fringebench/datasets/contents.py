@@ -1,35 +1,33 @@
-"""What a data set holds: its plan, and the records of its samples."""
+"""The plan and the records of a data set."""
 
 from pydantic import ValidationError
 
-from fringebench.datasets import manifest
-from fringebench.datasets import plan as plans
-from fringebench.datasets.manifest import Manifest
-from fringebench.datasets.plan import Plan
+from fringebench.datasets.dataset_plan import PLAN_FILE, DatasetPlan
+from fringebench.datasets.manifest import MANIFEST_FILE, Manifest
 from fringebench.datasets.sample import Record
 from fringebench.datasets.store import Store
-from scenes.errors import DatasetError
+from scenes.support.errors import DatasetError
 
 # Records of samples made since the manifest was written, one file each.
 RECORDS = "records"
 
 
-def read_plan(store: Store) -> Plan:
+def read_plan(store: Store) -> DatasetPlan:
     """The plan of the data set in a store; `DatasetError` if there is none."""
-    text = store.read(plans.NAME)
+    text = store.read(PLAN_FILE)
     if text is None:
         raise DatasetError(
-            f"'{store.where}' holds no data set ({plans.NAME} is missing): make one with fringebench dataset"
+            f"'{store.where}' holds no data set ({PLAN_FILE} is missing): make one with fringebench dataset"
         )
-    return Plan.loads(text.decode(errors="replace"), f"{store.where}/{plans.NAME}")
+    return DatasetPlan.loads(text.decode(errors="replace"), f"{store.where}/{PLAN_FILE}")
 
 
 def read_manifest(store: Store) -> Manifest | None:
     """The manifest, None if it is missing; `DatasetError` if it is damaged."""
-    content = store.read(manifest.NAME)
+    content = store.read(MANIFEST_FILE)
     if content is None:
         return None
-    return Manifest.of_bytes(content, f"{store.where}/{manifest.NAME}")
+    return Manifest.of_bytes(content, f"{store.where}/{MANIFEST_FILE}")
 
 
 def records_of(store: Store) -> dict[int, Record]:
@@ -50,5 +48,5 @@ def records_of(store: Store) -> dict[int, Record]:
 
 
 def keep_record(store: Store, record: Record) -> None:
-    """Write a sample's record: from now on it counts as made."""
+    """Write a sample's record: from then on it counts as made."""
     store.write(f"{RECORDS}/{record.index:06d}.json", record.model_dump_json().encode())

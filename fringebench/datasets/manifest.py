@@ -1,5 +1,6 @@
-"""``manifest.parquet``: one row a sample, with its split, its fate and its files' checksums."""
+"""``manifest.parquet``: one row a sample, with its split, status and file checksums."""
 
+import hashlib
 import io
 import json
 from collections.abc import Mapping, Sequence
@@ -9,13 +10,18 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import ValidationError
 
-from fringebench.datasets.sample import FILES, FileSum, Record
-from scenes.errors import DatasetError
+from fringebench.datasets.dataset_plan import EVERY_FILE
+from fringebench.datasets.sample import FileSum, Record
+from scenes.support.errors import DatasetError
 
-NAME = "manifest.parquet"
+MANIFEST_FILE = "manifest.parquet"
 # Header entry that holds the checksums of the data set's own files.
 KEY = b"fringebench"
-FORMAT = 1
+# Header entry with the SHA-256 of the whole file, taken with this entry all zeros: page checksums do not cover the
+# footer.
+DIGEST_KEY = b"fringebench.sha256"
+NO_DIGEST = b"0" * 64
+MANIFEST_FORMAT = 2
 
 _PLAIN = [
     ("index", pa.int64()),
@@ -31,7 +37,7 @@ _PLAIN = [
 
 @dataclass(frozen=True)
 class Manifest:
-    """Every sample's record, in order, and the checksums of the files beside the samples."""
+    """Every sample's record, in order, and the checksums of the data set's own files."""
 
     records: tuple[Record, ...]
     files: Mapping[str, FileSum] = field(default_factory=dict)
@@ -43,41 +49,52 @@ class Manifest:
             name: [getattr(record, name) for record in self.records] for name, _ in _PLAIN
         }
         columns = list(_PLAIN)
-        for name in FILES:
+        for name in EVERY_FILE:
             stem = name.replace(".", "_")
             sums = [record.files.get(name) for record in self.records]
             rows[f"{stem}_bytes"] = [s and s.bytes for s in sums]
             rows[f"{stem}_sha256"] = [s and s.sha256 for s in sums]
             columns += [(f"{stem}_bytes", pa.int64()), (f"{stem}_sha256", pa.string())]
         own = {name: sums.model_dump() for name, sums in sorted(self.files.items())}
-        header = {KEY: json.dumps({"format": FORMAT, "files": own}).encode()}
-        table = pa.Table.from_pydict(rows, schema=pa.schema(columns, metadata=header))
+        table = pa.Table.from_pydict(rows, schema=pa.schema(columns))
+        text = json.dumps({"format": MANIFEST_FORMAT, "files": own})
         sink = io.BytesIO()
-        pq.write_table(table, sink, compression="zstd", write_page_checksum=True)
-        return sink.getvalue()
+        with pq.ParquetWriter(
+            sink, table.schema, compression="zstd", write_page_checksum=True
+        ) as writer:
+            writer.write_table(table)
+            # Of the file and not of the table, whose header is written twice.
+            writer.add_key_value_metadata({KEY: text.encode(), DIGEST_KEY: NO_DIGEST})
+        content = sink.getvalue()
+        return content.replace(NO_DIGEST, hashlib.sha256(content).hexdigest().encode())
 
     @classmethod
     def of_bytes(cls, content: bytes, where: str) -> "Manifest":
         """What `to_bytes` gave; `DatasetError` for anything else."""
         try:
-            table = pq.read_table(io.BytesIO(content), page_checksum_verification=True)
-            header = json.loads((table.schema.metadata or {})[KEY])
-            if header["format"] != FORMAT:
+            file = pq.ParquetFile(io.BytesIO(content), page_checksum_verification=True)
+            table, entries = file.read(), file.metadata.metadata or {}
+            header = json.loads(entries[KEY])
+            if header["format"] != MANIFEST_FORMAT:
                 raise DatasetError(
-                    f"'{where}' has format {header['format']}, this version reads {FORMAT}"
+                    f"'{where}' has format {header['format']}, this version reads {MANIFEST_FORMAT}"
                 )
+            stated = entries[DIGEST_KEY]
+            blank = content.replace(stated, NO_DIGEST) if len(stated) == len(NO_DIGEST) else b""
+            if hashlib.sha256(blank).hexdigest().encode() != stated:
+                raise DatasetError(f"'{where}' is damaged: its content does not match its checksum")
             rows = table.to_pylist()
             own = {name: FileSum(**sums) for name, sums in header["files"].items()}
             return cls(tuple(_record(row) for row in rows), own)
         except (pa.ArrowException, OSError, KeyError, TypeError, ValueError, ValidationError) as e:
             raise DatasetError(
-                f"'{where}' is damaged, or no manifest of a data set ({_first_line(e)})"
+                f"'{where}' is damaged or is not the manifest of a data set ({_first_line(e)})"
             ) from e
 
 
 def _record(row: dict[str, object]) -> Record:
     files = {}
-    for name in FILES:
+    for name in EVERY_FILE:
         stem = name.replace(".", "_")
         size, digest = row[f"{stem}_bytes"], row[f"{stem}_sha256"]
         if digest is not None:

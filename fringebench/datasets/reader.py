@@ -5,6 +5,7 @@ Map-style, as PyTorch's ``DataLoader`` wants it, without torch: it has ``__len__
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -13,18 +14,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
 
 from fringebench.datasets.contents import read_manifest, read_plan
+from fringebench.datasets.manifest import MANIFEST_FILE
 from fringebench.datasets.sample import Record
 from fringebench.datasets.store import Store, open_store
-from scenes.board_labels import BoardTruth
-from scenes.errors import DatasetError, nearest
-from scenes.load import parse
-from scenes.stack import Stack
-from scenes.truth import Truth
+from scenes.files.stack import Stack
+from scenes.files.truth_maps import Truth
+from scenes.labels.pad_truth import BoardTruth
+from scenes.scene_files import parse
+from scenes.support.errors import DatasetError, nearest
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from decode import Reconstruction
     from scenes.scene import Scene
 
 T = TypeVar("T")
@@ -65,6 +68,26 @@ class Sample:
         return self.stack.frames
 
     @cached_property
+    def picture(self) -> NDArray[np.uint8]:
+        """``picture.png``: (row, col), 0 to 255."""
+        import numpy as np
+        from PIL import Image
+
+        with (
+            self.store.local(self._name("picture.png")) as path,
+            Image.open(path or self._missing("picture.png")) as image,
+        ):
+            return np.asarray(image)
+
+    @cached_property
+    def reconstruction(self) -> Reconstruction:
+        """Measured heights; only in data sets made with `heights`."""
+        from decode import Reconstruction
+
+        with self.store.local(self._name("reconstruction.exr")) as path:
+            return Reconstruction.read(path or self._missing("reconstruction.exr"))
+
+    @cached_property
     def truth(self) -> Truth:
         """Truth maps, (row, col): height, points, normals, labels, light."""
         with self.store.local(self._name("truth.exr")) as path:
@@ -95,9 +118,12 @@ class Sample:
         return self._missing(file) if content is None else content.decode()
 
     def _missing(self, file: str) -> Any:
-        raise DatasetError(
-            f"'{self.store.where}/{self._name(file)}' is missing: fringebench dataset --repair makes it again"
-        )
+        place = f"'{self.store.where}/{self._name(file)}'"
+        if not self.record.files.get(file):
+            raise DatasetError(
+                f"{place} is not part of this data set: make one with --heights, or with --picture"
+            )
+        raise DatasetError(f"{place} is missing: fringebench dataset --repair makes it again")
 
 
 class Dataset(Generic[T]):
@@ -130,12 +156,14 @@ class Dataset(Generic[T]):
         transform: Callable[[Sample], T] | None = None,
     ) -> None:
         self._store = open_store(where)
+        self.where = where
+        """The folder or URL."""
         self.plan = read_plan(self._store)
-        """What it was made from."""
+        """The plan it was made from."""
         listed = read_manifest(self._store)
         if listed is None:
             raise DatasetError(
-                f"the data set at '{where}' is not finished: run fringebench dataset again to go on with it"
+                f"the data set at '{where}' is not finished: run fringebench dataset again to continue it"
             )
         if split is not None and split not in self.plan.splits:
             raise DatasetError(
@@ -146,8 +174,13 @@ class Dataset(Generic[T]):
             for record in listed.records
             if record.status == "made" and split in (None, record.split)
         )
-        """Of each sample, in order."""
+        """Of each sample, in order of index."""
         self._transform = transform
+
+    @property
+    def manifest_sha256(self) -> str:
+        """SHA-256 of the manifest, which holds those of all files."""
+        return hashlib.sha256(self._store.read(MANIFEST_FILE) or b"").hexdigest()
 
     def __len__(self) -> int:
         return len(self.records)

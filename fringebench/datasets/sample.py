@@ -1,25 +1,34 @@
-"""One sample: what it is drawn from, how it is made, and the record kept of it."""
+"""One sample: how it is drawn and made, and its record."""
 
 import hashlib
 import json
+from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from fringebench.datasets.plan import Plan
-from scenes.board_labels import board_truth
-from scenes.coco import categories, coco
-from scenes.errors import DatasetError, FringebenchError
-from scenes.frozen import Frozen
-from scenes.load import save
-from scenes.realise import realise
-from scenes.replace_file import replacing
+from fringebench.datasets.dataset_plan import HEIGHTS, PICTURE, DatasetPlan
+from fringebench.datasets.pictures import HeightCode, camera_picture, write_png
+from scenes.files.stack import Stack
+from scenes.files.truth_maps import Truth
+from scenes.labels.coco_format import categories, coco
+from scenes.labels.pad_truth import board_truth
+from scenes.randomise import realise
 from scenes.scene import Scene
+from scenes.scene_files import dumps, parse, save
+from scenes.support.atomic_file import replacing
+from scenes.support.errors import DatasetError, FringebenchError
+from scenes.support.frozen import Frozen
 
-FILES = ("stack.exr", "truth.exr", "scene.toml", "labels.json")
-LABELS_FORMAT = 1
-# Streams of random numbers beside those that `scenes.realise` draws the scene from (0 and 1).
+if TYPE_CHECKING:
+    from decode import Reconstruction
+    from render import Transport
+
+LABELS_FORMAT = 2
+
+# Streams of random numbers; `scenes.realise` draws the scene from 0 and 1.
 LIGHT, NOISE = 2, 3
 
 
@@ -31,7 +40,7 @@ class FileSum(Frozen):
 
 
 class Record(Frozen):
-    """What is known of a sample; one row of the manifest."""
+    """Status, counts and checksums of a sample; one row of the manifest."""
 
     index: int
     split: str
@@ -41,7 +50,7 @@ class Record(Frozen):
     pads: int = 0
     """Pads in view of the labels; 0 without a board."""
     defective: int = 0
-    """Pads with at least one defect."""
+    """Pads with one defect or more."""
     drawn: str = "{}"
     """What `randomise` drew, as JSON."""
     files: dict[str, FileSum] = {}
@@ -54,34 +63,35 @@ class Record(Frozen):
 
 
 def folder_of(index: int) -> str:
-    """Where a sample lies in its data set: ``samples/000012``."""
+    """A sample's folder in its data set: ``samples/000012``."""
     return f"samples/{index:06d}"
 
 
-def seeds(seed: int, index: int) -> tuple[int, int]:
+def seeds(seed: int, index: int, light_index: int | None = None) -> tuple[int, int]:
     """Seeds of a sample's light paths and of its noise."""
+    lit = index if light_index is None else light_index
     light, noise = (
-        np.random.SeedSequence((seed, index), spawn_key=(stream,)).generate_state(1, np.uint32)[0]
-        for stream in (LIGHT, NOISE)
+        np.random.SeedSequence((seed, of), spawn_key=(stream,)).generate_state(1, np.uint32)[0]
+        for of, stream in ((lit, LIGHT), (index, NOISE))
     )
     return int(light), int(noise)
 
 
-def attempt(plan: Plan, scene: Scene, index: int, folder: Path) -> Record:
+def attempt(plan: DatasetPlan, scene: Scene, index: int, folder: Path) -> Record:
     """Make sample `index` in an empty folder, or record why it cannot be made.
 
     `scene` is ``plan.load_scene()``. The files depend on the plan and the index alone. Raises `DatasetError` when files
-    cannot be written: that is the output's failure, not the sample's, and the next one would fail as well.
+    cannot be written: the output is at fault then, and the next sample would fail as well.
     """
     try:
         made = _Content.of(plan, scene, index)
     except FringebenchError as error:
         return failed(plan, index, str(error))
-    except Exception as error:  # one broken sample must not take a night's run with it
+    except Exception as error:  # one broken sample must not end the run
         return failed(plan, index, f"{type(error).__name__}: {error}")
     try:
         made.write(folder)
-        sums = {name: checksum(folder / name) for name in FILES}
+        sums = {name: checksum(folder / name) for name in plan.sample_files}
     except (FringebenchError, OSError) as error:
         raise DatasetError(f"sample {index} cannot be written: {error}") from error
     pads = (made.labels["board"] or {}).get("pads", [])
@@ -96,7 +106,7 @@ def attempt(plan: Plan, scene: Scene, index: int, folder: Path) -> Record:
     )
 
 
-def failed(plan: Plan, index: int, reason: str) -> Record:
+def failed(plan: DatasetPlan, index: int, reason: str) -> Record:
     """The record of a sample that could not be made."""
     return Record(index=index, split=plan.split_of(index), status="failed", reason=reason)
 
@@ -111,32 +121,49 @@ def checksum(path: Path) -> FileSum:
 class _Content:
     """A sample in memory."""
 
-    def __init__(self, scene: Scene, stack: Any, truth: Any, labels: dict[str, Any]) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        stack: Stack,
+        truth: Truth,
+        measured: "Reconstruction | None",
+        labels: dict[str, Any],
+        picture: bool,
+    ) -> None:
         self.scene, self.stack, self.truth, self.labels = scene, stack, truth, labels
+        self.measured, self.picture = measured, picture
 
     @classmethod
-    def of(cls, plan: Plan, scene: Scene, index: int) -> "_Content":
+    def of(cls, plan: DatasetPlan, scene: Scene, index: int) -> "_Content":
+        import decode
         import render
 
-        light, noise = seeds(plan.seed, index)
-        drawn = realise(scene, index, plan.seed)
-        surfaces = render.surfaces(drawn)
-        transport = render.trace(drawn, seed=light, surfaces=surfaces)
-        truth = render.truth(drawn, transport, surfaces)
+        lit = plan.light_of(index)
+        light, noise = seeds(plan.seed, index, lit)
+        drawn = realise(scene, index, plan.seed, lit)
+        # Of the first variant: render noise is relative to the sensor's, and all of them must share one light.
+        first = realise(scene, lit * plan.variants, plan.seed, lit)
+        transport, truth = _light(dumps(first), light)
+        transport = replace(transport, scene=drawn)
         stack = render.expose(transport, seed=noise)
         labels = {
             "format": LABELS_FORMAT,
             "index": index,
+            "light_index": lit,
             "seed": plan.seed,
             "light_seed": light,
             "noise_seed": noise,
             "drawn": _drawn(scene, drawn),
-            **_coco(drawn, index),
+            **_coco(drawn, index, PICTURE if plan.picture else "stack.exr"),
             "board": board_truth(drawn).model_dump(mode="json") if drawn.board else None,
         }
-        if transport.phase_error is not None:
-            labels["light"] = transport.phase_error.to_dict() | {"samples": transport.samples}
-        return cls(drawn, stack, truth, labels)
+        if (reached := transport.render_noise or transport.phase_error) is not None:
+            labels["light"] = reached.to_dict() | {"samples": transport.samples}
+        measured = None
+        if plan.heights:
+            measured = decode.reconstruct(stack)
+            labels["height_png"] = HeightCode.of_range(*drawn.height_range_mm).to_dict()
+        return cls(drawn, stack, truth, measured, labels, plan.picture)
 
     @property
     def drawn(self) -> dict[str, Any]:
@@ -147,8 +174,28 @@ class _Content:
         self.stack.write(folder / "stack.exr")
         self.truth.write(folder / "truth.exr")
         save(self.scene, folder / "scene.toml")
-        with replacing(folder / "labels.json") as beside:
-            beside.write_text(json.dumps(self.labels, indent=1, allow_nan=False), "utf-8")
+        if self.picture:
+            write_png(camera_picture(self.stack), folder / PICTURE)
+        if self.measured is not None:
+            code = HeightCode.of_range(*self.scene.height_range_mm)
+            write_png(
+                code.encode(np.where(self.measured.valid, self.measured.height_mm, np.nan)),
+                folder / HEIGHTS[0],
+            )
+            self.measured.write(folder / HEIGHTS[1])
+        with replacing(folder / "labels.json") as staged:
+            staged.write_text(json.dumps(self.labels, indent=1, allow_nan=False), "utf-8")
+
+
+@lru_cache(maxsize=1)
+def _light(scene_text: str, seed: int) -> "tuple[Transport, Truth]":
+    """Light and truth of a scene; the next variant of a sample uses the same."""
+    import render
+
+    scene = parse(scene_text)
+    surfaces = render.surfaces(scene)
+    transport = render.trace(scene, seed=seed, surfaces=surfaces)
+    return transport, render.truth(scene, transport, surfaces)
 
 
 def _drawn(scene: Scene, drawn: Scene) -> dict[str, Any]:
@@ -163,9 +210,9 @@ def _drawn(scene: Scene, drawn: Scene) -> dict[str, Any]:
     return values
 
 
-def _coco(scene: Scene, index: int) -> dict[str, Any]:
-    """COCO's keys, so that a stock reader takes ``labels.json`` as it is; without a board there is nothing to detect."""
-    file_name = f"{folder_of(index)}/stack.exr"
+def _coco(scene: Scene, index: int, file: str) -> dict[str, Any]:
+    """COCO's keys, so that any reader loads ``labels.json``; without a board there is nothing to detect."""
+    file_name = f"{folder_of(index)}/{file}"
     if scene.board is not None:
         return coco(scene, file_name, index + 1)
     width, height = scene.camera.resolution

@@ -1,7 +1,7 @@
-"""Where a data set lies: a folder of this machine, or any URL that fsspec opens. One interface for both.
+"""Storage of a data set: a folder of this machine, or any URL that fsspec opens. One interface for both.
 
 Names are relative, with slashes. `put` is all or nothing for a single file; a folder's samples count as made only once
-their record is written, so that a half-uploaded one is never taken for whole.
+their record is written, so that a partly uploaded one never counts.
 """
 
 import os
@@ -13,15 +13,17 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from scenes.errors import DatasetError
+from scenes.support.errors import DatasetError
 
 STAGING = ".staging"
 
 
 class Store(ABC):
-    """A place with names in it."""
+    """Named files and folders at one place."""
 
     where: str
+    lasting = True
+    """What is stored is still there when this process ends."""
 
     @abstractmethod
     def list(self, name: str = "") -> list[str]:
@@ -47,9 +49,15 @@ class Store(ABC):
     def staging(self) -> Any:
         """Context that gives an empty local folder to make things in, from where `put` is quick."""
 
+    def clear_staging(self) -> None:
+        """Remove what runs that were killed left behind."""
+        for name in self.list():
+            if name.startswith(STAGING):
+                self.remove(name)
+
     @abstractmethod
     def alone(self) -> Any:
-        """Context in which no other run writes here, as far as the place can tell."""
+        """Context in which no other run writes here, where the storage has locks."""
 
     def write(self, name: str, content: bytes) -> None:
         """Write a file, whole or not at all."""
@@ -62,6 +70,8 @@ class Store(ABC):
 def open_store(where: str | Path) -> Store:
     """The store at a path or URL; nothing is made or touched yet. `DatasetError` for a URL that cannot be opened."""
     text = str(where)
+    if not text.removeprefix("file://").strip():
+        raise DatasetError("the place of the data set is empty: give a folder or a URL")
     if "://" not in text:
         return Folder(Path(text))
     if text.startswith("file://"):
@@ -96,7 +106,7 @@ class Folder(Store):
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
             if staged.is_dir():
-                # A folder cannot be renamed over one with files: the old one steps aside first.
+                # A folder cannot replace one with files: move the old one away first.
                 with self.staging() as aside, suppress(FileNotFoundError):
                     target.rename(aside / "old")
             staged.replace(target)
@@ -124,9 +134,10 @@ class Folder(Store):
     def staging(self) -> Iterator[Path]:
         """A folder inside this one, so that putting is a rename."""
         try:
-            (self.root / STAGING).mkdir(parents=True, exist_ok=True)
-            folder = Path(tempfile.mkdtemp(dir=self.root / STAGING))
-            # mkdtemp's folders are private; what is put is for whomever the umask lets.
+            # Each has its own: workers of a cluster that shared one would remove it as another enters.
+            self.root.mkdir(parents=True, exist_ok=True)
+            folder = Path(tempfile.mkdtemp(prefix=STAGING, dir=self.root))
+            # mkdtemp's folders are private; files of a data set follow the umask.
             made = folder / "new"
             made.mkdir()
         except OSError as error:
@@ -138,7 +149,7 @@ class Folder(Store):
 
     @contextmanager
     def alone(self) -> Iterator[None]:
-        """Holds a lock that the system takes back when the process ends, however it ends."""
+        """Holds a lock, which the system releases when the process ends."""
         try:
             self.root.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -163,7 +174,7 @@ class Folder(Store):
         try:
             yield
         finally:
-            self.remove(STAGING)
+            self.clear_staging()
             os.close(lock)
 
     def _refused(self, name: str, error: OSError) -> DatasetError:
@@ -184,10 +195,11 @@ class Remote(Store):
             self.files, self.root = fsspec.core.url_to_fs(url)
         except (ImportError, ValueError, OSError) as error:
             raise DatasetError(f"cannot open '{url}': {error}") from error
+        self.lasting = not _in_memory(self.files)
 
     def list(self, name: str = "") -> list[str]:
         """Names right under a folder, sorted; none if it is missing."""
-        with self._told(name):
+        with self._errors_as_ours(name):
             self.files.invalidate_cache()
             try:
                 found = self.files.ls(self._path(name), detail=False)
@@ -197,7 +209,7 @@ class Remote(Store):
 
     def read(self, name: str) -> bytes | None:
         """A file's content, None if it is missing."""
-        with self._told(name):
+        with self._errors_as_ours(name):
             try:
                 return bytes(self.files.cat_file(self._path(name)))
             except (FileNotFoundError, IsADirectoryError):
@@ -205,7 +217,7 @@ class Remote(Store):
 
     def put(self, staged: Path, name: str) -> None:
         """Upload; a folder file by file."""
-        with self._told(name):
+        with self._errors_as_ours(name):
             if staged.is_file():
                 self.files.makedirs(self._path(name).rsplit("/", 1)[0], exist_ok=True)
                 self.files.put_file(str(staged), self._path(name))
@@ -217,7 +229,7 @@ class Remote(Store):
 
     def remove(self, name: str) -> None:
         """Take a file or folder away, if it is there."""
-        with self._told(name), suppress(FileNotFoundError):
+        with self._errors_as_ours(name), suppress(FileNotFoundError):
             self.files.rm(self._path(name), recursive=True)
 
     @contextmanager
@@ -225,7 +237,7 @@ class Remote(Store):
         """A download that goes away with the context."""
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / Path(name).name
-            with self._told(name):
+            with self._errors_as_ours(name):
                 try:
                     self.files.get_file(self._path(name), str(path))
                 except (FileNotFoundError, IsADirectoryError):
@@ -249,11 +261,21 @@ class Remote(Store):
         return f"{self.root}/{name}".rstrip("/")
 
     @contextmanager
-    def _told(self, name: str) -> Iterator[None]:
-        """Errors of whatever library serves the URL, as ours."""
+    def _errors_as_ours(self, name: str) -> Iterator[None]:
+        """Errors of the URL's library as `DatasetError`."""
         try:
             yield
         except (DatasetError, FileNotFoundError):
             raise
         except Exception as error:
             raise DatasetError(f"cannot use '{self.where}/{name}': {error}") from error
+
+
+def _in_memory(files: Any) -> bool:
+    """Whether a file system, or the one it caches, exists in this process alone."""
+    while files is not None:
+        protocol = files.protocol
+        if "memory" in ((protocol,) if isinstance(protocol, str) else protocol):
+            return True
+        files = getattr(files, "fs", None)
+    return False

@@ -23,19 +23,19 @@ PAGE = Path(__file__).parents[2] / "docs" / "benchmarks.md"
 TURNS = Turns(np.array([[2.0, 8.0], [30.0, 60.0]]), np.array([[1.0, 5.0], [1.0, 7.0]]))
 
 
-def test_a_ratio_is_not_of_the_pairs_that_took_turns() -> None:
-    faster = TURNS.beside("ours", "theirs", unit="s")
+def test_ratio_is_the_median_over_pairs_in_turns() -> None:
+    faster = TURNS.compared("ours", "theirs", unit="s")
     # of the medians it would be 34 / 16
     assert faster.ratio == pytest.approx(3.0)
     assert faster.processor_ratio == pytest.approx(6.0)
     assert (faster.value, faster.baseline_value) == (16.0, 34.0)
-    slower = TURNS.beside("ours", "theirs", unit="s", reads="x baseline")
+    slower = TURNS.compared("ours", "theirs", unit="s", reads="x baseline")
     assert slower.ratio == pytest.approx((0.25 + 0.5) / 2)
     rate = TURNS.rate("ours", "theirs", [6.0, 6.0], "GB/s")
     assert rate.ratio == pytest.approx(3.0)
 
 
-def test_a_missed_target_passes_for_met() -> None:
+def test_missed_target_is_reported_as_missed() -> None:
     good = Result("x", 3.0, "s", ratio=2.0, target=Target("ratio", "at least", 2.0))
     bad = Result("x", 3.0, "s", ratio=2.0, target=Target("value", "at most", 2.9))
     assert good.met is True
@@ -45,9 +45,9 @@ def test_a_missed_target_passes_for_met() -> None:
     assert not_run("x", "no decoder").met is None
 
 
-def test_json_lacks_what_the_page_lists() -> None:
+def test_json_has_the_keys_that_the_page_lists() -> None:
     made = json.loads(
-        json.dumps(TURNS.beside("a", "b", target=Target("ratio", "at least", 2.0)).to_dict())
+        json.dumps(TURNS.compared("a", "b", target=Target("ratio", "at least", 2.0)).to_dict())
     )
     assert made["target"] == {"of": "ratio", "sense": "at least", "limit": 2.0}
     listed = re.search(r"`results`.*?\n\n(.*?)(?:\n\n|\Z)", PAGE.read_text("utf-8"), re.DOTALL)
@@ -55,7 +55,7 @@ def test_json_lacks_what_the_page_lists() -> None:
     assert set(re.findall(r"^\| `(\w+)`", listed[1], re.MULTILINE)) == {"benchmark", *made}
 
 
-def test_the_page_loses_its_text_to_the_tables() -> None:
+def test_page_keeps_its_text_around_the_tables() -> None:
     page = f"above\n{BEGIN}\nold\n{END}\nbelow\n"
     assert between(page, "new") == f"above\n{BEGIN}\nnew\n{END}\nbelow\n"
     assert between("", "new") == "new"
@@ -66,12 +66,12 @@ def test_the_page_loses_its_text_to_the_tables() -> None:
 @pytest.mark.parametrize(
     "name", [n for n in MODULES if importlib.util.find_spec(f"benchmarks.{n}")]
 )
-def test_a_benchmark_of_the_list_cannot_be_run(name: str) -> None:
+def test_every_listed_benchmark_can_be_run(name: str) -> None:
     module = importlib.import_module(f"benchmarks.{name}")
     inspect.signature(module.measure).bind(True)
 
 
-def test_scatter_about_the_local_fit_is_not_the_noise() -> None:
+def test_scatter_about_the_local_fit_is_the_noise() -> None:
     y, x = np.mgrid[0:200, 0:200].astype(float)
     smooth = 3.0 + 0.1 * x - 0.2 * y + 1e-3 * (x * x - 2.0 * x * y + 3.0 * y * y)
     inside = (slice(5, -5), slice(5, -5))
@@ -84,26 +84,26 @@ def test_scatter_about_the_local_fit_is_not_the_noise() -> None:
     assert found == pytest.approx(0.01, rel=5.0 * 0.5 * np.sqrt(2.0 * 1.09 / noise[inside].size))
 
 
-def test_an_exponent_is_not_the_power() -> None:
+def test_exponent_is_the_power() -> None:
     sizes = [1.0, 10.0, 100.0, 1000.0]
     assert exponent(sizes, [3.0 * n**1.5 for n in sizes]) == pytest.approx(1.5)
 
 
-def test_a_copy_leaves_parts_out() -> None:
+def test_copy_copies_everything() -> None:
     copy = Copy(8001)
     copy()
     assert np.array_equal(np.concatenate(copy._to), np.arange(1001))
     assert copy.moved_gb == pytest.approx(2e-9 * 8008)
 
 
-def test_times_of_another_process_are_taken_for_ours() -> None:
+def test_times_of_another_process_are_used() -> None:
     turns = take_turns([lambda: Elsewhere(5.0, 7.0), lambda: sum(range(100))], 2)
     assert turns.wall_s[:, 0].tolist() == [5.0, 5.0]
     assert turns.processor_s[:, 0].tolist() == [7.0, 7.0]
     assert (turns.wall_s[:, 1] < 5.0).all()
 
 
-def test_a_program_is_blamed_for_its_parents_memory() -> None:
+def test_memory_of_a_program_excludes_its_parent() -> None:
     parents = np.ones(40_000_000)  # 320 MB
     used = process.python("-S", "-c", "print('here')")
     assert used.output == "here\n"

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from scenes.calibration import Calibration
-from scenes.emission import PinholeProjector, TelecentricProjector
-from scenes.patterns import Axis, Frame, PhaseShift
-from scenes.rig import LookAt, Pinhole, Telecentric
-from scenes.sensor import SimpleSensor
-from scenes.stack import Stack
+from scenes.acquisition.patterns import Axis, Frame, PhaseShift
+from scenes.acquisition.sensor import SimpleSensor
+from scenes.files.stack import Stack
+from scenes.rig.calibration import Calibration
+from scenes.rig.devices import LookAt, Pinhole, Telecentric
+from scenes.rig.projectors import PinholeProjector, TelecentricProjector
 
 Map = NDArray[np.float64]
 LENS = (-0.12, 0.05, 8e-4, -6e-4, 0.01)
@@ -25,7 +25,7 @@ def rig(
 ) -> Calibration:
     """A camera above the board and a tilted projector, 16 x 12 mm of field; `lenses`: both pinholes distort.
 
-    The projector stands off both axes of the board, so that columns and rows both shift with height.
+    The projector is off both axes of the board, so that columns and rows both shift with height.
     """
     columns, rows = size
     above, aside = LookAt(origin_mm=(0, 0, 60)), LookAt(origin_mm=(30, 18, 50))
@@ -67,23 +67,18 @@ def hills(size: tuple[int, int] = (64, 48), top_mm: float = 2.0) -> Map:
     smooth = 0.5 * top_mm * (1.0 - np.cos(2.0 * np.pi * x) * np.cos(2.0 * np.pi * y)) / 1.0
     smooth = smooth / smooth.max() * top_mm
     smooth[:, columns * 7 // 8 :] = top_mm / 2.0
-    return smooth
+    return np.asarray(smooth, np.float64)
 
 
 def coordinates(calibration: Calibration, height_mm: Map) -> tuple[Map, Map]:
     """Projector column and row that light the surface of that height, on each camera ray."""
     camera = calibration.camera.projection()
-    origin, direction = camera.rays(camera.pixel_centres())
-    t = (height_mm - origin[..., 2]) / direction[..., 2]
-    pixels, _ = calibration.projectors[0].projection().project(origin + t[..., None] * direction)
+    pixels, _ = calibration.projectors[0].projection().project(camera.points_at(height_mm))
     return pixels[..., 0], pixels[..., 1]
 
 
 def frames(
-    at_px: dict[Axis, Map],
-    patterns: Sequence[Frame],
-    offset: float | Map,
-    modulation: float | Map,
+    at_px: dict[Axis, Map], patterns: Sequence[Frame], offset: float | Map, modulation: float | Map
 ) -> Map:
     """Ideal frames (frame, row, col): ``A + B cos(2 pi u / P + shift)``."""
     return np.stack(

@@ -2,15 +2,16 @@
 
 import subprocess
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
 
 import decode
-from decode.fusion import MaxModulation
-from scenes import backend
-from scenes.patterns import PhaseShift
-from scenes.rig import LookAt
+from decode.fusion.interface import MaxModulation
+from scenes.acquisition.patterns import PhaseShift
+from scenes.rig.devices import LookAt
+from scenes.support import backend
 from tests.decode.synthetic import calibrated_stack, coordinates, hills, rig
 
 ROI = (5, 41, 9, 60)
@@ -26,13 +27,15 @@ def test_every_kind_of_call_returns_the_right_heights(
     truth = hills()
     patterns = PhaseShift(periods_px=(16.0, 80.0), axes=("column", "row") if both else ("column",))
     stack = calibrated_stack(rig(), truth, patterns, sigma_dn=1.0, dtype=dtype)
-    prepared = {"backend": backend.select().name, "fusion": MaxModulation()} if initialised else {}
+    prepared: Any = (
+        {"backend": backend.select().name, "fusion": MaxModulation()} if initialised else {}
+    )
     rec = decode.reconstruct(stack, roi=roi, **prepared)
     asked = np.zeros(truth.shape, bool)
     asked[slice(*(roi or (0, 48))[:2]), slice(*(roi or (0, 0, 0, 64))[2:])] = True
     assert (rec.valid == asked).all()
     error = (rec.height_mm - truth)[asked]
-    # six predicted sigma: none of 3072 pixels beyond by chance (2e-9 each)
+    # Six predicted sigma: none of 3072 pixels beyond by chance (2e-9 each).
     assert (np.abs(error) < 6 * rec.sigma_mm[asked]).all()
     for image in (rec.phase_rad, rec.modulation_dn, rec.offset_dn, rec.xyz_mm):
         assert image.shape[:2] == truth.shape
@@ -42,11 +45,11 @@ def test_every_kind_of_call_returns_the_right_heights(
 
 @pytest.mark.parametrize("model", ["telecentric", "pinhole"])
 def test_fringes_along_the_baseline_do_no_harm_to_heights(model: str) -> None:
-    """A projector straight beside the camera, the usual rig: no height moves its rows."""
+    """A projector straight next to the camera, the usual rig: no height moves its rows."""
     truth = hills()
     calibration = rig(model, model, lenses=model == "pinhole")
-    beside = LookAt(origin_mm=(35, 0, 50))
-    projector = calibration.projectors[0].model_copy(update={"pose": beside})
+    sideways = LookAt(origin_mm=(35, 0, 50))
+    projector = calibration.projectors[0].model_copy(update={"pose": sideways})
     calibration = calibration.model_copy(update={"projectors": (projector,)})
     patterns = PhaseShift(periods_px=(16.0, 80.0, 400.0), axes=("column", "row"))
     rec = decode.reconstruct(calibrated_stack(calibration, truth, patterns, sigma_dn=1.0))
@@ -55,14 +58,14 @@ def test_fringes_along_the_baseline_do_no_harm_to_heights(model: str) -> None:
     assert (np.abs(rec.height_mm - truth) < 6 * rec.sigma_mm).all()
     assert rec.row_px is not None
     row = coordinates(calibration, truth)[1]
-    # six standard deviations of four-step phase: 16 px / 2 pi x sqrt(2 / 4) x 1 / 80
+    # Six standard deviations of four-step phase: 16 px / 2 pi x sqrt(2 / 4) x 1 / 80.
     assert np.abs(rec.row_px - row).max() < 6 * 16 / (2 * np.pi) * np.sqrt(0.5) / 80
 
 
-def test_a_fresh_interpreter_needs_no_initialisation() -> None:
+def test_fresh_interpreter_needs_no_initialisation() -> None:
     code = (
         "import numpy as np, decode\n"
-        "from scenes.patterns import PhaseShift\n"
+        "from scenes.acquisition.patterns import PhaseShift\n"
         "from tests.decode.synthetic import calibrated_stack, hills, rig\n"
         "rec = decode.reconstruct(calibrated_stack(rig(), hills(), PhaseShift(periods_px=(16., 80.))))\n"
         "assert rec.valid.all() and abs(rec.height_mm - hills()).max() < 1e-3\n"

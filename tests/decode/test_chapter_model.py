@@ -8,9 +8,9 @@ from scipy import stats
 
 import decode
 from decode.reconstruction import Reconstruction
-from scenes.patterns import PhaseShift
-from scenes.sensor import SimpleSensor
-from scenes.stack import Stack
+from scenes.acquisition.patterns import PhaseShift
+from scenes.acquisition.sensor import SimpleSensor
+from scenes.files.stack import Stack
 from tests.decode.synthetic import Map, digitise, frames
 
 C, SIZE = 4.0, 320
@@ -37,7 +37,7 @@ def rms(rec: Reconstruction, where: np.ndarray) -> float:
 
 def expected_rms(modulation: float) -> float:
     """P / (2 pi c) sigma sqrt(2/N) / B, with the variance 1/12 of rounding."""
-    return FINE / (2 * np.pi * C) * np.sqrt((9 + 1 / 12) / 2) / modulation
+    return FINE / (2 * np.pi * C) * float(np.sqrt((9 + 1 / 12) / 2)) / modulation
 
 
 def interval(count: int) -> tuple[float, float]:
@@ -47,26 +47,24 @@ def interval(count: int) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize(("modulation", "figure"), [(80.0, 0.0338), (15.0, 0.1823)])
-def test_base_plane_noise_is_the_formulas_and_the_chapters(
-    modulation: float, figure: float
-) -> None:
+def test_base_plane_noise_agrees_with_formula_and_chapter(modulation: float, figure: float) -> None:
     rec = decode.reconstruct(
         capture(120.0, modulation), c_px_per_mm=C, min_modulation_dn=0, max_order_residual=0.5
     )
     low, high = interval(int(BASE.sum()))
-    # atan2 is not linear: its noise exceeds the linearised one by about sigma_phi^2 (2 % at B = 15)
+    # atan2 is not linear: its noise exceeds the linearised one by about sigma_phi^2 (2 % at B = 15).
     bend = 1 + expected_rms(modulation) ** 2 * (2 * np.pi * C / FINE) ** 2
     assert low < rms(rec, BASE) / expected_rms(modulation) < high * bend
     assert rms(rec, BASE) == pytest.approx(figure, rel=0.02)
     assert np.median(rec.sigma_mm[BASE]) == pytest.approx(expected_rms(modulation), rel=0.02)
 
 
-def test_cap_and_step_heights_come_out() -> None:
+def test_cap_and_step_heights_are_the_true_ones() -> None:
     rec = decode.reconstruct(capture(120.0, 80.0), c_px_per_mm=C)
     apex, step = RADIUS < 3, STEP
     for where in (apex, step):
         error = float(np.mean(rec.height_mm[where] - HEIGHT[where]))
-        # five standard errors of the mean
+        # Five standard errors of the mean.
         assert abs(error) < 5 * expected_rms(80.0) / np.sqrt(where.sum())
 
 
@@ -75,7 +73,7 @@ def test_modulation_mask_flags_the_dark_region_and_only_it() -> None:
     rec = decode.reconstruct(
         capture(120 * albedo, 80 * albedo), c_px_per_mm=C, min_modulation_dn=20
     )
-    # B = 14.4 and sigma_B = sigma / sqrt(2): 99.57 % below 20; binomial five sigma over 3600 pixels
+    # B = 14.4 and sigma_B = sigma / sqrt(2): 99.57 % below 20; binomial five sigma over 3600 pixels.
     flagged = float(np.mean(~rec.valid[DARK]))
     share = stats.norm.cdf((20 - 14.4) / np.sqrt((9 + 1 / 12) / 2))
     assert abs(flagged - share) < 5 * np.sqrt(share * (1 - share) / DARK.sum())
@@ -95,7 +93,7 @@ def test_saturation_passes_the_modulation_mask_silently_when_it_is_ignored() -> 
         highlight(), c_px_per_mm=C, min_modulation_dn=20, saturation="ignore", fusion="single"
     )
     assert rec.valid[SPOT].all()
-    # B = 136 would give 0.0199 mm; clipping, not noise, makes several times that
+    # B = 136 would give 0.0199 mm; clipping, not noise, makes several times that.
     assert rms(rec, SPOT) > 3 * expected_rms(136.0)
 
 

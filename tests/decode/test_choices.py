@@ -1,4 +1,4 @@
-"""Regions of interest, fusion rules, projectors, and what bad choices are told."""
+"""Regions of interest, fusion rules, projectors, and refusals of bad choices."""
 
 from dataclasses import replace
 from importlib.metadata import EntryPoint, EntryPoints
@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 import decode
-from decode import fusion, registry
-from decode.phase import Phasor
-from scenes.errors import DecodeError
-from scenes.patterns import PhaseShift
-from scenes.sensor import SimpleSensor
-from scenes.stack import Stack
+from decode.fusion import interface, registry
+from decode.phase.n_step import Phasor
+from scenes.acquisition.patterns import PhaseShift
+from scenes.acquisition.sensor import SimpleSensor
+from scenes.files.stack import Stack
+from scenes.rig.devices import LookAt
+from scenes.support.errors import DecodeError
 from tests.decode.synthetic import calibrated_stack, digitise, hills, rig
 
 PATTERNS = PhaseShift(periods_px=(16.0, 80.0))
@@ -89,7 +90,7 @@ def test_impossible_choices_are_refused_with_the_way_out(
         decode.reconstruct(stack, **choices)
 
 
-def test_uncalibrated_stack_is_told_what_it_lacks(stack: Stack) -> None:
+def test_uncalibrated_stack_is_refused_with_what_it_lacks(stack: Stack) -> None:
     bare = replace(stack, calibration=None)
     with pytest.raises(DecodeError, match="no calibration: give it one, or c_px_per_mm"):
         decode.reconstruct(bare)
@@ -115,7 +116,7 @@ def exposures(times: tuple[float, ...], albedo: np.ndarray) -> Stack:
     )
 
 
-def test_max_modulation_takes_the_brightest_unsaturated_exposure_whatever_their_order() -> None:
+def test_max_modulation_takes_the_brightest_unsaturated_exposure_in_any_order() -> None:
     albedo = np.ones((48, 64))
     albedo[:, 32:] = 0.2
     for times in ((1.0, 2.0, 8.0), (8.0, 1.0, 2.0)):
@@ -141,15 +142,15 @@ def test_single_takes_the_middle_exposure_or_the_one_named() -> None:
     assert (decode.reconstruct(stack, fusion="single", exposure=1).exposure == 1).all()
 
 
-class Sum(fusion.FusionRule):
+class Sum(interface.FusionRule):
     """A stranger's rule: the sum of all exposures' phasors."""
 
-    def fuse(self, samples: fusion.Samples) -> Phasor:
+    def fuse(self, samples: interface.Samples) -> Phasor:
         parts = [samples.phasor(k) for k in samples.by_time]
         total = parts[0]
         for part in parts[1:]:
             total = replace(total, cosine=total.cosine + part.cosine, sine=total.sine + part.sine)
-        return replace(total, exposure=samples.device.types.UInt32(fusion.MERGED))
+        return replace(total, exposure=samples.device.types.UInt32(interface.MERGED))
 
 
 def test_rules_of_other_packages_are_found_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -164,7 +165,7 @@ def test_rules_of_other_packages_are_found_by_name(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(EntryPoint, "load", lambda self: {"sum": Sum, "alien": dict}[self.name])
     assert set(decode.rules()) == {*registry.RULES, "sum", "broken", "alien"}
     rec = decode.reconstruct(exposures((1.0, 2.0), np.ones((48, 64))), fusion="sum")
-    assert (rec.exposure == fusion.MERGED).all()
+    assert (rec.exposure == interface.MERGED).all()
     assert (np.abs(rec.modulation_dn - 150) < 10).all()
     with pytest.raises(DecodeError, match=r"'broken' .* cannot be loaded"):
         registry.rule("broken")
@@ -174,9 +175,7 @@ def test_rules_of_other_packages_are_found_by_name(monkeypatch: pytest.MonkeyPat
 
 def test_two_projectors_cover_each_others_shadows() -> None:
     one = rig()
-    other = one.projectors[0].model_copy(
-        update={"pose": type(one.projectors[0].pose)(origin_mm=(-30, -18, 50))}
-    )
+    other = one.projectors[0].model_copy(update={"pose": LookAt(origin_mm=(-30, -18, 50))})
     both = one.model_copy(update={"projectors": (one.projectors[0], other)})
     shown = PATTERNS.frames(2)
     truth = hills()
@@ -203,6 +202,13 @@ def test_two_projectors_cover_each_others_shadows() -> None:
         decode.reconstruct(stack, height="phase")
 
 
-def test_the_middle_exposure_is_that_of_the_index() -> None:
+def test_middle_exposure_is_that_of_the_index() -> None:
     assert decode.middle_exposure((4.0, 1.0, 2.0)) == 2
     assert decode.middle_exposure((8.0, 1.0)) == 0
+
+
+def test_minimum_modulation_of_less_than_one_count_is_allowed() -> None:
+    for value in (0.0, 0.5):
+        assert decode.Options(min_modulation_dn=value).min_modulation_dn == value
+    with pytest.raises(DecodeError, match="use 0 or more"):
+        decode.Options(min_modulation_dn=-0.001)

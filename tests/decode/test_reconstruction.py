@@ -9,11 +9,11 @@ import pytest
 
 import decode
 from decode.reconstruction import AxisPhase
-from scenes.errors import DecodeError, FileError
-from scenes.patterns import PhaseShift
-from scenes.rig import LookAt
-from scenes.sensor import SimpleSensor
-from scenes.stack import Stack
+from scenes.acquisition.patterns import PhaseShift
+from scenes.acquisition.sensor import SimpleSensor
+from scenes.files.stack import Stack
+from scenes.rig.devices import LookAt
+from scenes.support.errors import DecodeError, FileError
 from tests.decode.synthetic import calibrated_stack, hills, rig
 
 IMAGES = (
@@ -47,7 +47,7 @@ def same(one: decode.Reconstruction, two: decode.Reconstruction) -> None:
     assert one.reason_fractions() == two.reason_fractions()
 
 
-def test_a_file_gives_back_every_value(rec: decode.Reconstruction, tmp_path: Path) -> None:
+def test_file_gives_back_every_value(rec: decode.Reconstruction, tmp_path: Path) -> None:
     rec.write(tmp_path / "rec.exr")
     back = decode.Reconstruction.read(tmp_path / "rec.exr")
     same(rec, back)
@@ -55,10 +55,10 @@ def test_a_file_gives_back_every_value(rec: decode.Reconstruction, tmp_path: Pat
     assert set(rec.reason_fractions()) == {"ok", "out-of-volume"}
 
 
-def test_images_of_one_number_take_no_memory_and_are_files_like_others(tmp_path: Path) -> None:
+def test_constant_maps_take_no_memory_and_are_written_like_others(tmp_path: Path) -> None:
     stack = calibrated_stack(rig(), hills(), PhaseShift(periods_px=(16.0, 80.0)))
     phases = decode.reconstruct(stack, height="phase")
-    # a single exposure, and no heights: one number each, which must not be written out pixel by pixel
+    # A single exposure, and no heights: one number each, which must not be written out pixel by pixel.
     for name in ("exposure", "height_mm"):
         image = getattr(phases, name)
         assert image.shape == (48, 64) and image.strides == (0, 0)
@@ -67,11 +67,11 @@ def test_images_of_one_number_take_no_memory_and_are_files_like_others(tmp_path:
     same(phases, pickle.loads(pickle.dumps(phases)))
 
 
-def test_a_process_can_hand_it_to_another(rec: decode.Reconstruction) -> None:
+def test_reconstruction_can_be_pickled(rec: decode.Reconstruction) -> None:
     same(rec, pickle.loads(pickle.dumps(rec)))
 
 
-def test_a_damaged_file_is_an_error(rec: decode.Reconstruction, tmp_path: Path) -> None:
+def test_damaged_reconstruction_is_an_error(rec: decode.Reconstruction, tmp_path: Path) -> None:
     rec.write(tmp_path / "rec.exr")
     (tmp_path / "rec.exr").write_bytes((tmp_path / "rec.exr").read_bytes()[:5000])
     with pytest.raises(FileError, match="truncated"):
@@ -94,7 +94,7 @@ def test_heights_of_another_decoder_are_scored_by_their_nans() -> None:
         decode.Reconstruction.of_heights(np.zeros((3, 3)), valid=np.ones((2, 2), bool))
 
 
-def test_order_and_wrapped_phase_together_keep_what_float32_loses() -> None:
+def test_order_and_wrapped_phase_keep_more_digits_than_float32() -> None:
     wrapped = np.linspace(-3, 3, 1000, dtype=np.float32)[None]
     phase = AxisPhase(16.0, wrapped, np.full(wrapped.shape, 400, np.int32))
     back = phase.phase_rad - 2 * np.pi * 400
@@ -121,13 +121,13 @@ def two_projectors() -> Stack:
     return Stack(np.concatenate(frames, axis=1), tuple(shown), (1.0,), sensor, both)
 
 
-def test_no_map_says_which_projector_measured_a_pixel(tmp_path: Path) -> None:
+def test_projector_map_names_who_measured_each_pixel(tmp_path: Path) -> None:
     stack = two_projectors()
     rec = decode.reconstruct(stack)
     assert rec.valid.all()
     assert rec.projector is not None
     assert (rec.projector[:, :24] == 0).all() and (rec.projector[:, 32:] == 1).all()
-    # where both do, it is the one whose numbers stand there
+    # Where both do, it is the one whose numbers are there.
     for index in (0, 1):
         alone = decode.reconstruct(stack, projector=index)
         assert alone.projector is not None and (alone.projector == index).all()
@@ -138,7 +138,7 @@ def test_no_map_says_which_projector_measured_a_pixel(tmp_path: Path) -> None:
     assert back.projector is not None and np.array_equal(back.projector, rec.projector)
 
 
-def test_frames_of_nan_are_called_saturated() -> None:
+def test_frames_of_nan_are_rejected_as_not_a_number() -> None:
     made = calibrated_stack(rig(), hills(), PhaseShift(periods_px=(16.0, 80.0)), sigma_dn=1.0)
     frames = made.frames.copy()
     frames[0, 5, :9] = np.nan
@@ -147,3 +147,16 @@ def test_frames_of_nan_are_called_saturated() -> None:
     assert rec.valid[9:].all()
     with pytest.raises(DecodeError, match=r"not-a-number 100.0%.*frames hold NaN"):
         decode.reconstruct(replace(made, frames=np.full_like(frames, np.nan)))
+
+
+@pytest.mark.parametrize("clipped_set", [0, 1, 2])
+def test_one_clipped_sample_of_any_period_rejects_the_pixel(clipped_set: int) -> None:
+    """Whichever of three periods it belongs to: a coarse one would shift the order, the finest one the height."""
+    patterns = PhaseShift(steps=4, periods_px=(16.0, 64.0, 400.0))
+    stack = calibrated_stack(rig(), hills(), patterns, sigma_dn=0.5, dtype=np.uint8)
+    stack.frames[0, 4 * clipped_set + 1, 10:20, 30:40] = 255
+    rec = decode.reconstruct(stack)
+    clipped = np.zeros(rec.valid.shape, np.bool_)
+    clipped[10:20, 30:40] = True
+    np.testing.assert_array_equal(rec.valid, ~clipped)
+    assert (rec.reason[clipped] == decode.Reason.SATURATED).all()

@@ -1,4 +1,4 @@
-"""The command line in a process of its own, small enough to be run many times."""
+"""The command line as a child process, with scenes small enough to be run many times."""
 
 import os
 import subprocess
@@ -16,7 +16,7 @@ def start(
     """``fringebench WORDS`` in a folder, its output kept."""
     path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
     return subprocess.Popen(
-        [sys.executable, "-m", "fringebench", *map(os.fspath, words)],
+        [sys.executable, "-m", "fringebench", *(os.fspath(word) for word in words)],
         cwd=folder,
         env=os.environ | {"PYTHONPATH": path} | dict(env or {}),
         stdout=subprocess.PIPE,
@@ -27,7 +27,7 @@ def start(
     )
 
 
-def finish(process: subprocess.Popen[str], timeout_s: float = 120) -> tuple[int, str, str]:
+def finish(process: subprocess.Popen[str], timeout_s: float = 600) -> tuple[int, str, str]:
     """Exit status, standard output, standard error."""
     try:
         out, err = process.communicate(timeout=timeout_s)

@@ -1,4 +1,4 @@
-"""Files of one small run, and disks that are small or read-only."""
+"""Files of one small run, and small or read-only disks."""
 
 import subprocess
 import sys
@@ -8,30 +8,20 @@ from pathlib import Path
 import pytest
 
 import render
-import scenes
-from fringebench.run import run
 from tests.faults.commands import SMALL
 
 Call = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture(scope="session")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a small run of `step`; not to be changed."""
-    folder = tmp_path_factory.mktemp("made")
-    run(scenes.load("step", {"camera.resolution": [24, 18], "sampling.samples": 2}), folder)
-    return folder
-
-
-@pytest.fixture(scope="session")
-def transport(made: Path) -> render.Transport:
-    """Its light."""
-    return render.Transport.read(made / "transport.exr")
+def transport(small_run: Path) -> render.Transport:
+    """Transport of that run."""
+    return render.Transport.read(small_run / "transport.exr")
 
 
 @pytest.fixture
 def call(call: Call) -> Call:
-    """Run the command line, `small` where asked."""
+    """Run the command line, on a small scene with `small`."""
 
     def command(*words: str | Path, small: bool = False) -> tuple[int, str, str]:
         return call(*words, *(SMALL if small else ()))
@@ -44,7 +34,7 @@ Disk = Callable[..., Path]
 
 @pytest.fixture
 def disk(tmp_path: Path) -> Iterator[Disk]:
-    """Mount a tmpfs of some KiB, later perhaps read-only; skips where that is not allowed."""
+    """Mount a tmpfs of some KiB, or remount it read-only; skips if that is not allowed."""
     mounted: list[Path] = []
 
     def mount(kib: int = 1024, read_only: bool = False) -> Path:

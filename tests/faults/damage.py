@@ -1,9 +1,9 @@
-"""What happens to files: cut short, bits flipped, spans lost, doubled or exchanged, numbers made absurd."""
+"""Damage to files: truncation, flipped bits, spans lost, doubled or exchanged, absurd numbers."""
 
 import random
 import re
 
-# Numbers that programs stumble over, as text and as four bytes.
+# Values that often break programs, as text and as four bytes.
 ABSURD = (
     "0", "-1", "1e308", "1e999", "-1e-320", "nan", "NaN", "inf", "-inf", "2147483648", "18446744073709551616",
     "9" * 5000, "1e-30", '""', "[]", "{}", "null", "true", '"../../x"', "[" * 3000, "1_0", "0x7f", "1979-05-27",
@@ -22,7 +22,7 @@ KINDS = ("cut", "flip", "lose", "double", "exchange", "word", "number", "byte", 
 
 
 def damaged(whole: bytes, kind: str, rng: random.Random) -> bytes:
-    """The file after one mishap."""
+    """The file after one kind of damage."""
     if not whole:
         return whole
     at = rng.randrange(len(whole))
@@ -57,8 +57,8 @@ def damaged(whole: bytes, kind: str, rng: random.Random) -> bytes:
     return before + span + after
 
 
-def mishaps(whole: bytes, seed: int) -> bytes:
-    """The file after one to three mishaps, decided by the seed."""
+def damage_with_seed(whole: bytes, seed: int) -> bytes:
+    """The file after one to three kinds of damage, drawn with the seed."""
     rng = random.Random(seed)
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
         whole = damaged(whole, rng.choice(KINDS), rng)

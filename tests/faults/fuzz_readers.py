@@ -1,4 +1,4 @@
-"""Coverage-guided fuzzing of one reader, by hand: what it finds becomes a test in `test_damaged_files.py`.
+"""Coverage-guided fuzzing of one reader, started by hand; what it finds becomes a test in `test_damaged_files.py`.
 
 Needs atheris (``pip install atheris``; Linux, CPython up to 3.13)::
 
@@ -17,15 +17,15 @@ import tempfile
 import warnings
 from pathlib import Path
 
-import atheris
+import atheris  # type: ignore[import-untyped,unused-ignore]
 
 with atheris.instrument_imports(
     include=["scenes", "render", "decode", "fringebench", "gerbonara", "tomllib", "json"]
 ):
-    import gerbonara  # noqa: F401  imported late by its reader, and not instrumented then
+    import gerbonara  # noqa: F401  imported here to be instrumented
 
-    from scenes.errors import FringebenchError
-    from tests.faults.damage import mishaps
+    from scenes.support.errors import FringebenchError
+    from tests.faults.damage import damage_with_seed
     from tests.faults.targets import TARGETS
 
 
@@ -48,10 +48,10 @@ def main() -> None:
 
         def mutated(data: bytes, limit: int, seed: int) -> bytes:
             if seed % 2:
-                return mishaps(data, seed)[:limit]
+                return damage_with_seed(data, seed)[:limit]
             return bytes(atheris.Mutate(data, limit))
 
-        # Dr.Jit's threads still run when libFuzzer exits, which would look like a crash.
+        # Threads of Dr.Jit still run when libFuzzer exits, which would look like a crash.
         leave = ctypes.CFUNCTYPE(None, ctypes.c_int, ctypes.c_void_p)(
             lambda status, _: os._exit(status)
         )

@@ -1,4 +1,4 @@
-"""What reads files, each with small whole files to damage: shared by the tests and by `fuzz_readers.py`."""
+"""Readers of files, each with small undamaged files: shared by the tests and by `fuzz_readers.py`."""
 
 import json
 import tempfile
@@ -17,13 +17,14 @@ import decode
 import evaluation
 import render
 import scenes
+from fringebench.datasets.dataset_plan import DatasetPlan
 from fringebench.datasets.manifest import Manifest
-from fringebench.datasets.plan import Plan
 from fringebench.datasets.sample import FileSum, Record
-from fringebench.regress import Baseline
-from scenes import exr, gerber
-from scenes.capture import Capture
-from scenes.opencv_calibration import Source
+from fringebench.gate.baseline import Baseline
+from scenes.board import gerber
+from scenes.files import exr
+from scenes.files.capture import Capture
+from scenes.rig.opencv_calibration import Source
 
 Read = Callable[[Path], object]
 
@@ -112,7 +113,7 @@ FRAMES = 3 + 4 + 2
 
 @dataclass(frozen=True)
 class Target:
-    """A reader and whole files of its format."""
+    """A reader and undamaged files of its format."""
 
     suffix: str
     read: Read
@@ -121,7 +122,7 @@ class Target:
 
 @cache
 def files(make: Callable[[Path], object], suffix: str) -> tuple[bytes, ...]:
-    """The bytes that `make` leaves at a path of that suffix."""
+    """The bytes that `make` writes to a path with that suffix."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"whole{suffix}"
         make(path)
@@ -130,7 +131,7 @@ def files(make: Callable[[Path], object], suffix: str) -> tuple[bytes, ...]:
 
 @cache
 def transport() -> render.Transport:
-    """Light of the smallest scene that has everything a file may hold."""
+    """Transport of the smallest scene that has everything a file may hold."""
     return render.trace(scenes.load("bench", SMALL), samples=2, depth=2)
 
 
@@ -160,7 +161,7 @@ def _json(path: Path) -> None:
 
 
 def _manifest_folder(path: Path) -> object:
-    """Read a manifest among the images and the calibration it names."""
+    """Read a manifest next to the images and the calibration it names."""
     images = np.random.default_rng(0).integers(0, 200, (FRAMES, 9, 12), dtype=np.uint8)
     for i, image in enumerate(images):
         name = path.parent / f"f{i}.png"
@@ -195,10 +196,7 @@ def _mesh(path: Path) -> object:
     return scenes.meshes(
         scenes.load(
             "step",
-            {
-                "objects.0.shape": {"kind": "file", "path": str(path)},
-                "objects.0.label": "base",
-            },
+            {"objects.0.shape": {"kind": "file", "path": str(path)}, "objects.0.label": "base"},
         )
     )
 
@@ -208,7 +206,7 @@ def _shape(path: Path) -> None:
 
 
 def _plan() -> tuple[bytes, ...]:
-    return (Plan.of(transport().scene, 20, 3).dumps().encode(),)
+    return (DatasetPlan.of(transport().scene, 20, 3).dumps().encode(),)
 
 
 def _parquet() -> tuple[bytes, ...]:
@@ -225,7 +223,7 @@ def _baseline() -> tuple[bytes, ...]:
     estimate = {"mean": 0.1, "standard_error": 0.01, "repeats": 4}
     tree = {
         "format": "fringebench-baseline",
-        "version": 1,
+        "version": 2,
         "decoder": "a:b",
         "suite": "x",
         "figures": {"case": {"base": {"bias_mm": estimate}}},
@@ -239,7 +237,7 @@ def _scene_texts() -> tuple[bytes, ...]:
 
 
 def _header_of(whole: Callable[[], tuple[bytes, ...]], use: Read) -> Target:
-    """A file of ours that is whole but for what its header says, and what is done with it next."""
+    """A file in which only the header is damaged, and how it is used next."""
 
     @cache
     def parts() -> tuple[dict[str, Any], str]:
@@ -298,7 +296,7 @@ TARGETS: dict[str, Target] = {
     "mesh-stl": Target(".stl", _mesh, lambda: files(_shape, ".stl")),
     "mesh-obj": Target(".obj", _mesh, lambda: files(_shape, ".obj")),
     "plan": Target(
-        ".toml", lambda path: Plan.loads(path.read_text(errors="replace"), str(path)), _plan
+        ".toml", lambda path: DatasetPlan.loads(path.read_text(errors="replace"), str(path)), _plan
     ),
     "parquet": Target(
         ".parquet", lambda path: Manifest.of_bytes(path.read_bytes(), str(path)), _parquet

@@ -1,6 +1,6 @@
 """Damaged files of every kind that is read: only a `FringebenchError` comes out, never a crash, a hang or a warning.
 
-`fuzz_readers.py` looks for more, guided by coverage; what it and the tests here found stands below as cases.
+`fuzz_readers.py` searches for more, guided by coverage; what it and these tests found is kept below as cases.
 """
 
 import json
@@ -13,12 +13,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import scenes
-import scenes.capture
-import scenes.images
-from scenes import exr
-from scenes.errors import FileError, FringebenchError, MeshError, SceneError
-from scenes.opencv_calibration import Source
-from tests.faults.damage import mishaps
+from scenes.files import capture, exr, images
+from scenes.rig.opencv_calibration import Source
+from scenes.support.errors import FileError, FringebenchError, MeshError, SceneError
+from tests.faults.damage import damage_with_seed
 from tests.faults.targets import GERBER, RIG, TARGETS, Target
 
 EXAMPLES = settings(
@@ -30,7 +28,7 @@ EXAMPLES = settings(
 
 
 def survives(target: Target, folder: Path, content: bytes) -> bool:
-    """Whether a file is read; whatever is raised but a `FringebenchError` fails the test."""
+    """Whether a file is read; an exception other than `FringebenchError` fails the test."""
     path = folder / f"damaged{target.suffix}"
     path.write_bytes(content)
     try:
@@ -42,32 +40,32 @@ def survives(target: Target, folder: Path, content: bytes) -> bool:
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_whole_files_are_read(name: str, tmp_path: Path) -> None:
-    # else the tests below would only see that everything is refused
+def test_undamaged_files_are_read(name: str, tmp_path: Path) -> None:
+    # Otherwise the tests below would pass if every file were refused.
     target = TARGETS[name]
     for whole in target.seeds():
         assert survives(target, tmp_path, whole)
 
 
 @pytest.mark.parametrize("name", TARGETS)
-def test_damage_is_an_error_of_the_project(name: str, tmp_path: Path) -> None:
+def test_damaged_file_gives_a_project_error(name: str, tmp_path: Path) -> None:
     _damage(name, tmp_path, 30)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TARGETS)
-def test_much_damage_is_an_error_of_the_project(name: str, tmp_path: Path) -> None:
+def test_heavily_damaged_file_gives_a_project_error(name: str, tmp_path: Path) -> None:
     _damage(name, tmp_path, 200)
 
 
 def _damage(name: str, folder: Path, examples: int) -> None:
     target = TARGETS[name]
-    whole = target.seeds()
+    seeds = target.seeds()
 
     @settings(EXAMPLES, max_examples=examples)
-    @given(seed=st.integers(0, 2**32), which=st.integers(0, len(whole) - 1))
+    @given(seed=st.integers(0, 2**32), which=st.integers(0, len(seeds) - 1))
     def one(seed: int, which: int) -> None:
-        survives(target, folder, mishaps(whole[which], seed))
+        survives(target, folder, damage_with_seed(seeds[which], seed))
 
     one()
 
@@ -76,33 +74,23 @@ DEEP = "[" * 3000
 DIGITS = "9" * 5000
 
 
-@pytest.mark.parametrize("name", ["scene", "manifest", "plan"])
 @pytest.mark.parametrize("value", [DEEP, DIGITS], ids=["deep", "digits"])
-def test_toml_beyond_the_parser_is_an_error_of_the_project(
-    name: str, value: str, tmp_path: Path
-) -> None:
-    assert not survives(TARGETS[name], tmp_path, f"a = {value}".encode())
+def test_text_the_parser_refuses_gives_a_project_error(value: str, tmp_path: Path) -> None:
+    for name in ("scene", "manifest", "plan"):
+        assert not survives(TARGETS[name], tmp_path, f"a = {value}".encode()), name
+    headers = ("stack-header", "truth-header", "transport-header", "reconstruction-header")
+    for name in ("baseline", "calibration-json", *headers):
+        assert not survives(TARGETS[name], tmp_path, f'{{"a": {value}}}'.encode()), name
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["baseline", "calibration-json", "stack-header", "truth-header", "transport-header", "reconstruction-header"],
-)  # fmt: skip
-@pytest.mark.parametrize("value", [DEEP, DIGITS], ids=["deep", "digits"])
-def test_json_beyond_the_parser_is_an_error_of_the_project(
-    name: str, value: str, tmp_path: Path
-) -> None:
-    assert not survives(TARGETS[name], tmp_path, f'{{"a": {value}}}'.encode())
-
-
-def test_a_scene_whose_objects_are_no_list_is_told(tmp_path: Path) -> None:
+def test_scene_whose_objects_are_no_list_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
     path.write_text("objects = 5")
     with pytest.raises(SceneError, match="objects"):
         scenes.load(path)
 
 
-def test_a_thousand_errors_are_told_in_a_few_lines(tmp_path: Path) -> None:
+def test_thousand_errors_are_summarised_in_a_few_lines(tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
     path.write_text(scenes.source("step") + "[[objects]]\nlabel = 1\n" * 1000)
     with pytest.raises(SceneError, match=r"and [0-9]+ more errors") as failure:
@@ -110,27 +98,19 @@ def test_a_thousand_errors_are_told_in_a_few_lines(tmp_path: Path) -> None:
     assert len(str(failure.value).splitlines()) <= 11
 
 
-# OpenCV 5.0 writes beyond the matrix where its size is not that of its data, and the process aborts.
+# OpenCV 5.0 writes beyond the matrix if its size is not that of its data, and the process aborts.
 @pytest.mark.parametrize("suffix", [".yml", ".xml"])
-@pytest.mark.parametrize(
-    "lie", [("cols", "colz"), ("3", "18446744073709551616"), ("3", "-3"), ("3", "2"), ("3", "3e9")]
-)
-def test_an_opencv_matrix_that_lies_about_its_size_is_refused(
-    suffix: str, lie: tuple[str, str], tmp_path: Path
-) -> None:
-    (whole,) = TARGETS["calibration-yaml" if suffix == ".yml" else "calibration-xml"].seeds()
-    text = whole.decode()
+def test_opencv_matrix_with_a_wrong_size_is_refused(suffix: str, tmp_path: Path) -> None:
+    (undamaged,) = TARGETS["calibration-yaml" if suffix == ".yml" else "calibration-xml"].seeds()
+    text = undamaged.decode()
     key = "cols: 3" if suffix == ".yml" else "<cols>3</cols>"
     assert key in text
-    told = key.replace(*lie)
-    if suffix == ".xml":
-        told = told.replace("/3", "/").replace(
-            "</cols>", "</colz>" if lie[1] == "colz" else "</cols>"
-        )
     path = tmp_path / f"rig{suffix}"
-    path.write_text(text.replace(key, told, 1))
-    with pytest.raises(FileError, match=r"rig\."):
-        Source(files=(path,)).calibration((12, 9), (64, 48))
+    wrong_sizes = [key.replace("3", size) for size in ("18446744073709551616", "-3", "2", "3e9")]
+    for wrong in (key.replace("cols", "colz"), *wrong_sizes):
+        path.write_text(text.replace(key, wrong, 1))
+        with pytest.raises(FileError, match=r"rig\."):
+            Source(files=(path,)).calibration((12, 9), (64, 48))
 
 
 @pytest.mark.parametrize(
@@ -147,7 +127,7 @@ def test_an_opencv_matrix_that_lies_about_its_size_is_refused(
         ({"projector_size": [1e999, 4]}, "NaN or infinite"),
     ],
 )
-def test_numbers_of_a_calibration_that_cannot_be_are_named(
+def test_impossible_numbers_of_a_calibration_are_named(
     change: dict[str, object], says: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "rig.json"
@@ -159,7 +139,7 @@ def test_numbers_of_a_calibration_that_cannot_be_are_named(
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        # GEOS crashes the process on an infinite width
+        # GEOS crashes the process on an infinite width.
         ("ADD13O,0.4X1.1", "ADD13O,0.4X1e999", "length of (inf|nan)"),
         ("ADD10C,0.5", "ADD10C,1e300", "length of"),
         ("X1000000Y1000000D03", f"X{'9' * 60}Y0D03", "length of"),
@@ -168,9 +148,7 @@ def test_numbers_of_a_calibration_that_cannot_be_are_named(
     ],
     ids=["infinite", "huge-circle", "far", "point"],
 )  # fmt: skip
-def test_gerber_shapes_that_cannot_be_are_named(
-    old: str, new: str, says: str, tmp_path: Path
-) -> None:
+def test_impossible_gerber_shapes_are_named(old: str, new: str, says: str, tmp_path: Path) -> None:
     assert old in GERBER
     path = tmp_path / "paste.gbr"
     path.write_text(GERBER.replace(old, new, 1))
@@ -207,7 +185,7 @@ end_header
     ],
     ids=["beyond", "negative", "nan", "far", "flat", "claims-a-trillion"],
 )
-def test_meshes_that_cannot_be_are_named(
+def test_impossible_meshes_are_named(
     count: int, third: str, face: str, says: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "a.ply"
@@ -216,48 +194,43 @@ def test_meshes_that_cannot_be_are_named(
         TARGETS["mesh-ply"].read(path)
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0, 0.5, 1e9])
 @pytest.mark.parametrize(
     ("kind", "channel"),
     [("truth", "label"), ("transport", "label"), ("reconstruction", "reason"), ("reconstruction", "exposure")],
 )  # fmt: skip
-def test_numbers_where_codes_belong_are_refused(
-    kind: str, channel: str, value: float, tmp_path: Path
-) -> None:
+def test_invalid_codes_are_refused(kind: str, channel: str, tmp_path: Path) -> None:
     path = tmp_path / "a.exr"
     path.write_bytes(TARGETS[kind].seeds()[0])
     channels, meta = exr.read(path, kind)
-    wrong = channels[channel].astype(np.float32)
-    wrong[0, 0] = value
     meta = {key: value for key, value in meta.items() if key not in ("format", "version")}
-    exr.write(path, kind, channels | {channel: wrong}, meta)
-    with pytest.raises(FileError, match="damaged"):
-        TARGETS[kind].read(path)
+    for value in (np.nan, np.inf, -1.0, 0.5, 1e9):
+        wrong = channels[channel].astype(np.float32)
+        wrong[0, 0] = value
+        exr.write(path, kind, channels | {channel: wrong}, meta)
+        with pytest.raises(FileError, match="damaged"):
+            TARGETS[kind].read(path)
 
 
 LONG = "a" * 5000
 
 
-@pytest.mark.parametrize("name", [LONG, f"{LONG}/b", "a\0b", "a\udcffb", "\ud800"])
-@pytest.mark.parametrize(
-    "read",
-    [
-        *(
-            TARGETS[kind].read
-            for kind in ("stack", "truth", "transport", "reconstruction", "gerber")
-        ),
-        *(TARGETS[kind].read for kind in ("calibration-yaml", "mesh-ply", "baseline")),
-        scenes.load,
-        scenes.capture.Capture.load,
-        exr.kind_of,
-    ],
-)
-def test_names_that_cannot_be_are_told(read: Callable[[Path], object], name: str) -> None:
-    with pytest.raises(FringebenchError):
-        read(Path(name))
+READERS: dict[str, Callable[[Path], object]] = {
+    kind: TARGETS[kind].read
+    for kind in (
+        *("stack", "truth", "transport", "reconstruction"),
+        *("gerber", "calibration-yaml", "mesh-ply", "baseline"),
+    )
+} | {"scene": scenes.load, "capture": capture.Capture.load, "kind": exr.kind_of}
 
 
-@pytest.mark.parametrize("pattern", ["/etc/*.png", "", "\0", "**x", LONG])
-def test_patterns_of_files_that_cannot_be_are_told(pattern: str, tmp_path: Path) -> None:
-    with pytest.raises(FileError):
-        scenes.images.find(tmp_path, [pattern])
+@pytest.mark.parametrize("reader", READERS)
+def test_invalid_file_names_are_refused(reader: str) -> None:
+    for name in (LONG, f"{LONG}/b", "a\0b", "a\udcffb", "\ud800"):
+        with pytest.raises(FringebenchError):
+            READERS[reader](Path(name))
+
+
+def test_invalid_file_patterns_are_refused(tmp_path: Path) -> None:
+    for pattern in ("/etc/*.png", "", "\0", "**x", LONG):
+        with pytest.raises(FileError):
+            images.find(tmp_path, [pattern])

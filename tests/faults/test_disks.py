@@ -1,4 +1,4 @@
-"""Disks that are full, read-only or shared: a message and status 2, and every file that was there still is."""
+"""Full, read-only and shared disks: one message, status 2, and every existing file is kept."""
 
 import os
 import threading
@@ -8,12 +8,13 @@ from pathlib import Path
 import pytest
 
 import scenes
-from fringebench.alone import alone
-from fringebench.datasets.build import build
-from fringebench.datasets.plan import Plan
-from fringebench.export import export
-from scenes.errors import DatasetError, FileError
-from scenes.replace_file import UNFINISHED, replacing
+from fringebench.datasets.building import build
+from fringebench.datasets.dataset_plan import DatasetPlan
+from fringebench.exchange.capture_export import export
+from fringebench.output_folder import locked
+from scenes.files import exr
+from scenes.support.atomic_file import UNFINISHED, replacing
+from scenes.support.errors import DatasetError, FileError
 
 Call = Callable[..., tuple[int, str, str]]
 Disk = Callable[..., Path]
@@ -28,28 +29,30 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def fill(folder: Path, leave_kib: int) -> None:
-    """Leave that much room on a small disk."""
+    """Fill a small disk up to that much free space."""
     room = os.statvfs(folder)
     (folder / "ballast").write_bytes(bytes(room.f_bavail * room.f_frsize - leave_kib * 1024))
 
 
 WRITERS: dict[str, Callable[[Path, Path], list[str | Path]]] = {
-    "run": lambda made, out: ["run", "step", "-o", out],
-    "render": lambda made, out: ["render", "step", "-o", out / "transport.exr", "--truth", out / "truth.exr"],
-    "expose": lambda made, out: ["expose", made / "transport.exr", "-o", out / "stack.exr"],
-    "decode": lambda made, out: ["decode", made / "stack.exr", "-o", out / "reconstruction.exr"],
-    "evaluate": lambda made, out: ["evaluate", made / "reconstruction.exr", made / "truth.exr", "-o", out / "scores.json"],
-    "export": lambda made, out: ["export", made / "stack.exr", "-o", out],
-    "view": lambda made, out: ["view", made / "stack.exr", "-o", out / "view.html"],
-    "convert": lambda made, out: ["convert", made / "reconstruction.exr", "-o", out / "cloud.ply"],
+    "run": lambda small_run, out: ["run", "step", "-o", out],
+    "render": lambda small_run, out: ["render", "step", "-o", out / "transport.exr", "--truth", out / "truth.exr"],
+    "expose": lambda small_run, out: ["expose", small_run / "transport.exr", "-o", out / "stack.exr"],
+    "decode": lambda small_run, out: ["decode", small_run / "stack.exr", "-o", out / "reconstruction.exr"],
+    "evaluate": lambda small_run, out: ["evaluate", small_run / "reconstruction.exr", small_run / "truth.exr", "-o", out / "scores.json"],
+    "export": lambda small_run, out: ["export", small_run / "stack.exr", "-o", out],
+    "view": lambda small_run, out: ["view", small_run / "stack.exr", "-o", out / "view.html"],
+    "convert": lambda small_run, out: ["convert", small_run / "reconstruction.exr", "-o", out / "cloud.ply"],
 }  # fmt: skip
 SCENES = ("run", "render")
 
 
 @pytest.mark.parametrize("command", WRITERS)
-def test_a_full_disk_keeps_what_was_there(command: str, made: Path, disk: Disk, call: Call) -> None:
+def test_full_disk_keeps_existing_files(
+    command: str, small_run: Path, disk: Disk, call: Call
+) -> None:
     out = disk(4096)
-    words = WRITERS[command](made, out)
+    words = WRITERS[command](small_run, out)
     assert call(*words, small=command in SCENES)[0] == 0
     fill(out, leave_kib=0)
     before = contents(out)
@@ -60,30 +63,30 @@ def test_a_full_disk_keeps_what_was_there(command: str, made: Path, disk: Disk, 
 
 
 @pytest.mark.parametrize("leave_kib", [4, 16, 40])
-def test_a_disk_that_fills_during_a_run_keeps_whole_files(
+def test_disk_that_fills_during_a_run_keeps_complete_files(
     leave_kib: int, disk: Disk, call: Call
 ) -> None:
     out = disk(2048)
     fill(out, leave_kib)
     status, _, err = call("run", "step", "-o", out, small=True)
     assert (status, "No space left" in err or "cannot write" in err) == (2, True)
-    for name, read in (("transport.exr", scenes.exr.kind_of), ("scene.toml", scenes.load)):
+    for name, read in (("transport.exr", exr.kind_of), ("scene.toml", scenes.load)):
         if (out / name).exists():
             read(out / name)
     assert not [name for name in contents(out) if UNFINISHED in name]
 
 
 @pytest.mark.parametrize("command", WRITERS)
-def test_a_read_only_disk_is_told(command: str, made: Path, disk: Disk, call: Call) -> None:
+def test_read_only_disk_is_reported(command: str, small_run: Path, disk: Disk, call: Call) -> None:
     out = disk(64, read_only=True)
-    status, _, err = call(*WRITERS[command](made, out), small=command in SCENES)
+    status, _, err = call(*WRITERS[command](small_run, out), small=command in SCENES)
     assert status == 2
     assert "Read-only file system" in err
 
 
-def test_an_export_that_cannot_be_replaced_keeps_its_manifest(made: Path, disk: Disk) -> None:
+def test_export_that_cannot_be_replaced_keeps_its_manifest(small_run: Path, disk: Disk) -> None:
     out = disk(1024)
-    stack = scenes.Stack.read(made / "stack.exr")
+    stack = scenes.Stack.read(small_run / "stack.exr")
     export(stack, out)
     before = contents(out)
     disk(1024, read_only=True)
@@ -92,10 +95,11 @@ def test_an_export_that_cannot_be_replaced_keeps_its_manifest(made: Path, disk: 
     assert contents(out) == before
 
 
-def test_a_data_set_on_a_full_disk_stops_and_goes_on(disk: Disk, tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_data_set_on_a_full_disk_stops_and_resumes(disk: Disk, tmp_path: Path) -> None:
     out = disk(2048)
     small = {"camera.resolution": [24, 18], "sampling.samples": 2}
-    plan = Plan.of(scenes.load("step", small), 2)
+    plan = DatasetPlan.of(scenes.load("step", small), 2)
     fill(out, leave_kib=20)
     with pytest.raises(DatasetError, match=r"No space left|cannot be written"):
         build(plan, out)
@@ -104,13 +108,13 @@ def test_a_data_set_on_a_full_disk_stops_and_goes_on(disk: Disk, tmp_path: Path)
     assert [record.status for record in built.records] == ["made", "made"]
 
 
-def test_two_runs_do_not_share_a_folder(tmp_path: Path, call: Call) -> None:
-    with alone(tmp_path):
+def test_second_run_in_a_folder_is_refused(tmp_path: Path, call: Call) -> None:
+    with locked(tmp_path):
         status, _, err = call("run", "step", "-o", tmp_path, small=True)
     assert status == 2
     assert "another run is writing" in err
     assert not list(tmp_path.iterdir())
-    with alone(tmp_path):
+    with locked(tmp_path):
         pass
 
 
@@ -120,8 +124,8 @@ def test_two_writers_of_one_file_leave_one_of_the_two(tmp_path: Path) -> None:
 
     def write(text: str) -> None:
         for _ in range(100):
-            with replacing(path) as beside:
-                beside.write_text(text)
+            with replacing(path) as staged:
+                staged.write_text(text)
 
     threads = [threading.Thread(target=write, args=(text,)) for text in texts]
     for thread in threads:
@@ -132,10 +136,10 @@ def test_two_writers_of_one_file_leave_one_of_the_two(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_times_of_files_mean_nothing(made: Path, tmp_path: Path, call: Call) -> None:
-    # clocks jump, and files come from machines whose clocks are wrong
+def test_file_times_are_ignored(small_run: Path, tmp_path: Path, call: Call) -> None:
+    # Clocks jump, and files come from machines with wrong clocks.
     for name in ("transport.exr", "stack.exr"):
-        (tmp_path / name).write_bytes((made / name).read_bytes())
+        (tmp_path / name).write_bytes((small_run / name).read_bytes())
     os.utime(tmp_path / "transport.exr", (4e9, 4e9))
     os.utime(tmp_path / "stack.exr", (0, 0))
     before = (tmp_path / "stack.exr").read_bytes()

@@ -1,6 +1,6 @@
-"""Numbers and shapes at the end of what can be: the right answer or a clear error, and never a warning.
+"""Extreme numbers and shapes: the right answer or a clear error, never a warning.
 
-pytest turns warnings into errors, so a case that passes has printed none.
+pytest turns warnings into errors, so a case that passes has issued none.
 """
 
 from collections.abc import Callable
@@ -15,15 +15,15 @@ import decode
 import evaluation
 import render
 import scenes
-from scenes import exr
-from scenes.errors import DecodeError, FringebenchError, MeshError, RenderError, SceneError
+from scenes.files import exr
+from scenes.support.errors import DecodeError, FringebenchError, MeshError, RenderError, SceneError
 
 SMALL = {"camera.resolution": [48, 36], "sampling.samples": 4}
 STEP = "objects.1.shape"
 
 
 def through(scene: scenes.Scene) -> tuple[scenes.Truth, decode.Reconstruction, evaluation.Score]:
-    """The whole way, in memory."""
+    """Trace, expose, decode and score in memory."""
     light = render.trace(scene)
     truth = render.truth(scene, light)
     found = decode.reconstruct(render.expose(light))
@@ -64,19 +64,19 @@ BEYOND: dict[str, tuple[dict[str, Any], type[FringebenchError], str]] = {
 
 
 @pytest.mark.parametrize("case", BEYOND)
-def test_what_cannot_be_measured_is_told(case: str) -> None:
+def test_unmeasurable_scene_is_refused(case: str) -> None:
     changes, error, says = BEYOND[case]
     with pytest.raises(error, match=says):
         through(step(**changes))
 
 
 @pytest.mark.parametrize("resolution", [[1, 1], [1, 36], [48, 1], [2, 1], [1, 2], [3, 3]])
-def test_images_of_a_pixel_or_a_line_are_measured_or_told(resolution: list[int]) -> None:
+def test_images_of_a_pixel_or_a_line_are_measured_or_refused(resolution: list[int]) -> None:
     scene = scenes.load("step", SMALL | {"camera.resolution": resolution})
     try:
         truth, found, score = through(scene)
     except (RenderError, DecodeError) as error:
-        # what one pixel sees may be too little to set the exposure by, or to decode
+        # One pixel may see too little to set the exposure, or to decode.
         assert "seen by no pixel" in str(error) or "no pixel could be decoded" in str(error)
         return
     assert found.height_mm.shape == truth.height_mm.shape == (resolution[1], resolution[0])
@@ -84,14 +84,16 @@ def test_images_of_a_pixel_or_a_line_are_measured_or_told(resolution: list[int])
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 9), (9, 1)])
-def test_files_of_a_pixel_or_a_line_come_back(size: tuple[int, int], tmp_path: Path) -> None:
+def test_files_of_a_pixel_or_a_line_read_back_the_same(
+    size: tuple[int, int], tmp_path: Path
+) -> None:
     plane = np.full(size[::-1], 1e-45, np.float32)
     exr.write(tmp_path / "a.exr", "thing", {"x": plane}, {})
     assert exr.read(tmp_path / "a.exr", "thing")[0]["x"].tobytes() == plane.tobytes()
 
 
 @pytest.mark.parametrize("seed", [-1, 2**32, 2**63, 1.5])
-def test_seeds_that_would_be_another_seed_are_refused(seed: Any) -> None:
+def test_seeds_beyond_32_bits_are_refused(seed: Any) -> None:
     with pytest.raises(RenderError, match="seed"):
         render.trace(step(), seed=seed)
 
@@ -108,7 +110,7 @@ def frames(stack: scenes.Stack, change: Callable[[np.ndarray], None]) -> scenes.
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e38, -1e38, 1e-45])
 @pytest.mark.parametrize("fusion", ["max-modulation", "single"])
-def test_samples_that_are_no_numbers_reject_their_pixel_alone(value: float, fusion: str) -> None:
+def test_samples_that_are_no_numbers_reject_only_their_pixel(value: float, fusion: str) -> None:
     clean = frames(render.expose(render.trace(step()), seed=1), lambda f: None)
 
     def spoil(f: np.ndarray) -> None:
@@ -121,13 +123,13 @@ def test_samples_that_are_no_numbers_reject_their_pixel_alone(value: float, fusi
     assert good.valid[spoilt].any()
     assert not bad.valid[spoilt].any()
     assert np.array_equal(bad.height_mm[~spoilt], good.height_mm[~spoilt], equal_nan=True)
-    # beside black pixels, dim ones count as the edge of a shadow
+    # Next to black pixels, dim ones count as the edge of a shadow.
     spoilt[4:9, 4:9] |= 0.0 < value < 1.0
     assert np.array_equal(bad.valid[~spoilt], good.valid[~spoilt])
 
 
 @pytest.mark.parametrize("level", [0.0, 100.0, np.nan])
-def test_frames_without_modulation_are_told(level: float) -> None:
+def test_frames_without_modulation_are_refused(level: float) -> None:
     def flat(f: np.ndarray) -> None:
         f[:] = level
 
@@ -142,7 +144,7 @@ def as_file(mesh: trimesh.Trimesh, folder: Path) -> dict[str, Any]:
 
 
 def block() -> trimesh.Trimesh:
-    """The shipped scene's own step."""
+    """The step of the shipped scene."""
     return scenes.load("step").objects[1].shape.mesh()
 
 
@@ -175,7 +177,9 @@ ODD: dict[str, Callable[[], trimesh.Trimesh]] = {
 
 @pytest.mark.parametrize("case", ODD)
 @pytest.mark.parametrize("smooth", [False, True])
-def test_odd_meshes_of_one_surface_have_one_truth(case: str, smooth: bool, tmp_path: Path) -> None:
+def test_odd_meshes_of_one_surface_have_the_same_truth(
+    case: str, smooth: bool, tmp_path: Path
+) -> None:
     changes = {"objects.1.smooth": smooth}
     plain = render.truth(scenes.load("step", SMALL | changes))
     scene = scenes.load("step", SMALL | changes | as_file(ODD[case](), tmp_path))
@@ -186,7 +190,7 @@ def test_odd_meshes_of_one_surface_have_one_truth(case: str, smooth: bool, tmp_p
     assert found.valid.any()
 
 
-def test_a_hole_is_seen_through(tmp_path: Path) -> None:
+def test_surface_behind_a_hole_is_seen(tmp_path: Path) -> None:
     mesh = block()
     top = mesh.triangles_center[:, 2] == mesh.triangles_center[:, 2].max()
     mesh.update_faces(~top)
@@ -196,7 +200,7 @@ def test_a_hole_is_seen_through(tmp_path: Path) -> None:
     )
     inside = (plain.region("step")) & (plain.normal[..., 2] > 0.99)
     assert inside.sum() > 20
-    # The base lies below.
+    # The base is below.
     assert (holed.height_mm[inside] < plain.height_mm[inside] - 0.01).all()
     through(scenes.load("step", SMALL | as_file(mesh, tmp_path)))
 
@@ -206,11 +210,11 @@ def test_coincident_surfaces_are_one_surface() -> None:
     twice = step().model_copy(update={"objects": (base, base)})
     once = step().model_copy(update={"objects": (base,)})
     two, found, _ = through(twice)
-    one, alone, _ = through(once)
+    one, single, _ = through(once)
     np.testing.assert_allclose(two.height_mm, one.height_mm, atol=1e-5)
     assert np.array_equal(two.lit, one.lit)
-    # No surface shades itself: as much light comes back as from one.
-    assert np.count_nonzero(found.valid) == pytest.approx(np.count_nonzero(alone.valid), rel=0.02)
+    # No surface shades itself: the same amount of light returns as from one.
+    assert np.count_nonzero(found.valid) == pytest.approx(np.count_nonzero(single.valid), rel=0.02)
 
 
 @pytest.mark.slow

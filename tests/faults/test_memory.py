@@ -1,4 +1,4 @@
-"""More than memory holds: refused before it starts, with what it takes, what there is and what to change."""
+"""Requests beyond memory are refused before they start, with what they need, what is free and what to change."""
 
 import os
 import re
@@ -15,8 +15,9 @@ import pytest
 import decode
 import render
 import scenes
-from scenes import exr, mapped, memory
-from scenes.errors import FileError, TooLargeError
+from scenes.files import exr
+from scenes.support import mapped, memory
+from scenes.support.errors import FileError, TooLargeError
 from tests.faults.commands import ROOT
 
 Call = Callable[..., tuple[int, str, str]]
@@ -25,7 +26,7 @@ GIB = 2**30
 
 @pytest.fixture
 def free(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
-    """Have the machine say that it has so many bytes, of memory and of disk."""
+    """Make the machine report that many free bytes of memory and disk."""
 
     def say(count: int) -> None:
         monkeypatch.setattr(memory, "available_bytes", lambda: count)
@@ -34,7 +35,8 @@ def free(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
     return say
 
 
-def test_a_hundred_megapixels_and_48_frames_are_refused_at_once(
+@pytest.mark.slow
+def test_scene_beyond_memory_is_refused_at_once(
     free: Callable[[int], None], transport: render.Transport
 ) -> None:
     free(4 * GIB)
@@ -42,18 +44,19 @@ def test_a_hundred_megapixels_and_48_frames_are_refused_at_once(
     huge = scenes.load("step", {"camera.resolution": list(size)})
     with pytest.raises(TooLargeError, match=r"11600 x 8700 pixels.*GiB are free: lower camera"):
         render.trace(huge)
-    # 100 Mpx of light without 100 Mpx of memory
+    # 100 Mpx of light by broadcasting, without the memory.
     plane = np.broadcast_to(np.float32(1.0), size[::-1])
     light = np.broadcast_to(plane, (*transport.total.shape[:2], *plane.shape))
+    label = np.broadcast_to(np.uint16(0), size[::-1])
     wide = render.Transport(
-        light, light, plane, plane, transport.labels, transport.bases, huge, 0, 2, 3
+        light, light, plane, label, transport.labels, transport.bases, huge, 0, 2, 3
     )
     with pytest.raises(TooLargeError, match=r"4 exposures of 12 frames .* are free: take fewer"):
         render.expose(wide, exposures=[1.0, 2.0, 4.0, 8.0])
 
 
 @pytest.mark.parametrize("command", ["run", "render"])
-def test_the_command_line_refuses_before_it_starts(
+def test_command_refuses_too_large_a_scene_before_it_starts(
     command: str, free: Callable[[int], None], tmp_path: Path, call: Call
 ) -> None:
     free(GIB)
@@ -64,36 +67,38 @@ def test_the_command_line_refuses_before_it_starts(
     assert not out.is_file()
 
 
-def test_truth_decoding_and_reading_ask_too(
-    free: Callable[[int], None], made: Path, transport: render.Transport
+def test_truth_decoding_and_reading_check_memory(
+    free: Callable[[int], None], small_run: Path, transport: render.Transport
 ) -> None:
-    stack = scenes.Stack.read(made / "stack.exr")
+    stack = scenes.Stack.read(small_run / "stack.exr")
     free(1000)
     for ask in (
         lambda: render.truth(transport.scene, transport),
         lambda: decode.reconstruct(stack),
-        lambda: scenes.Stack.read(made / "stack.exr"),
-        lambda: render.Transport.read(made / "transport.exr"),
+        lambda: scenes.Stack.read(small_run / "stack.exr"),
+        lambda: render.Transport.read(small_run / "transport.exr"),
     ):
         with pytest.raises(TooLargeError, match="are free"):
             ask()
 
 
-def test_an_estimate_that_was_too_low_is_told_as_well() -> None:
+def test_estimate_that_was_too_low_is_reported() -> None:
     with (
-        pytest.raises(TooLargeError, match="more than there was: go away"),
+        pytest.raises(TooLargeError, match="more than is free: go away"),
         memory.room_for(1, "this", "go away"),
     ):
         raise MemoryError
 
 
-def test_a_container_and_a_limit_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_limits_of_container_and_process_are_respected(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     if memory.available_bytes() is None:
         pytest.skip("this system does not say how much memory is free")
     monkeypatch.setattr(memory, "CGROUP", tmp_path)
     whole = memory.available_bytes()
     assert whole is not None
-    # version 2: pages of files can be dropped, so they are free
+    # cgroup version 2: cached pages of files can be dropped, so they are free.
     (tmp_path / "memory.max").write_text("50000000\n")
     (tmp_path / "memory.current").write_text("30000000\n")
     (tmp_path / "memory.stat").write_text("anon 1\ninactive_file 5000000\n")
@@ -102,14 +107,14 @@ def test_a_container_and_a_limit_count(tmp_path: Path, monkeypatch: pytest.Monke
     assert memory.available_bytes() == pytest.approx(whole, rel=0.5)
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="limits of address space are Linux's")
+@pytest.mark.skipif(sys.platform != "linux", reason="address-space limits are a feature of Linux")
 @pytest.mark.slow
-def test_under_a_hard_limit_there_is_an_error_and_no_crash() -> None:
-    """Dr.Jit, out of memory, ends the process; the estimate must be above what is taken, at any size."""
+def test_hard_memory_limit_gives_an_error_and_no_crash() -> None:
+    """Out of memory, Dr.Jit ends the process; the estimate must be above the memory used, at any size."""
     script = """
         import re, resource, sys
         import render, scenes
-        from scenes.errors import TooLargeError
+        from scenes.support.errors import TooLargeError
 
         small = scenes.load("step", {"camera.resolution": [64, 48]})
         light = render.trace(small, samples=2)
@@ -143,6 +148,36 @@ def test_under_a_hard_limit_there_is_an_error_and_no_crash() -> None:
     assert outcomes[3] == "done"
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="address-space limits are a feature of Linux")
+@pytest.mark.parametrize(
+    ("words", "limit_mb"), [(["run", "step"], 300), (["run", "step"], 600), (["decode", "x"], 1000)]
+)
+def test_address_space_too_small_for_the_libraries_ends_in_one_line(
+    words: list[str], limit_mb: int, tmp_path: Path
+) -> None:
+    """They end the process by a signal: it is refused before they are loaded."""
+    script = f"""
+        import resource, sys
+        resource.setrlimit(resource.RLIMIT_AS, ({limit_mb} << 20, {limit_mb} << 20))
+        sys.argv[1:] = {words}
+        from fringebench.cli.app import main
+        main()
+        """
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(script)],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert re.fullmatch(
+        r"fringebench: .* address space \(ulimit -v\).*raise the limit.*\n", done.stderr
+    )
+    assert not list(tmp_path.iterdir())
+
+
 def claiming(whole: bytes, width: int, height: int) -> bytes:
     """An EXR file whose header says another size."""
     changed = bytearray(whole)
@@ -165,7 +200,7 @@ SIZES = (
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_an_exr_header_that_claims_too_much_is_refused(
+def test_exr_header_that_claims_too_much_is_refused(
     size: tuple[int, int], tmp_path: Path, free: Callable[[int], None]
 ) -> None:
     free(8 * GIB)
@@ -176,8 +211,8 @@ def test_an_exr_header_that_claims_too_much_is_refused(
         exr.read(path, "thing")
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="peak memory as Linux tells it")
-def test_a_header_that_claims_too_much_takes_no_memory(tmp_path: Path) -> None:
+@pytest.mark.skipif(sys.platform != "linux", reason="peak memory as Linux reports it")
+def test_exr_header_that_claims_too_much_allocates_no_memory(tmp_path: Path) -> None:
     path = tmp_path / "whole.exr"
     exr.write(path, "thing", {"x": np.zeros((8, 10), np.float16)}, {})
     paths = []
@@ -186,8 +221,8 @@ def test_a_header_that_claims_too_much_takes_no_memory(tmp_path: Path) -> None:
         paths[-1].write_bytes(claiming(path.read_bytes(), *size))
     script = f"""
         import resource
-        from scenes import exr
-        from scenes.errors import FringebenchError
+        from scenes.files import exr
+        from scenes.support.errors import FringebenchError
         exr.read({str(path)!r}, "thing")
         before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         for path in {[str(p) for p in paths]}:
@@ -204,8 +239,8 @@ def test_a_header_that_claims_too_much_takes_no_memory(tmp_path: Path) -> None:
         capture_output=True,
         text=True,
         check=False,
-        timeout=60,
+        timeout=300,
     )
     assert done.returncode == 0, done.stderr
-    # ten pixels' worth of work: some pages of code, no images
+    # A few pages of code, no images.
     assert int(done.stdout) < 20_000

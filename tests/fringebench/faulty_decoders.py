@@ -3,14 +3,16 @@
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 import decode
 from scenes import Stack
 
-Heights = tuple[np.ndarray, np.ndarray, np.ndarray]
+Image = NDArray[np.floating]
+Heights = tuple[Image, NDArray[np.bool_], Image]
 
 
-def _parts(rec: decode.Reconstruction) -> Heights:
+def parts(rec: decode.Reconstruction) -> Heights:
     return rec.height_mm, rec.valid, rec.sigma_mm
 
 
@@ -32,13 +34,13 @@ def saturation_a_little_too_high(stack: Stack) -> decode.Reconstruction:
 
 def trusts_everything(stack: Stack) -> Heights:
     """A mask that rejects nothing."""
-    height, _, sigma = _parts(decode.reconstruct(stack, min_modulation_dn=0.0))
+    height, _, sigma = parts(decode.reconstruct(stack, min_modulation_dn=0.0))
     return height, np.isfinite(height), sigma
 
 
 def shifted_mask(stack: Stack) -> Heights:
     """A mask off by three columns."""
-    height, valid, sigma = _parts(decode.reconstruct(stack))
+    height, valid, sigma = parts(decode.reconstruct(stack))
     return height, np.roll(valid, 3, axis=1), sigma
 
 
@@ -50,17 +52,27 @@ def swapped_steps(stack: Stack) -> decode.Reconstruction:
 
 
 def one_percent_high(stack: Stack) -> Heights:
-    height, valid, sigma = _parts(decode.reconstruct(stack))
+    height, valid, sigma = parts(decode.reconstruct(stack))
     return 1.01 * height, valid, sigma
 
 
 def boastful(stack: Stack) -> Heights:
     """Claims a tenth of its noise."""
-    height, valid, sigma = _parts(decode.reconstruct(stack))
+    height, valid, sigma = parts(decode.reconstruct(stack))
     return height, valid, 0.1 * sigma
 
 
-def without_sigma(stack: Stack) -> np.ndarray:
+def wrong_orders(stack: Stack) -> Heights:
+    """One fringe order off in 1 % of the pixels."""
+    height, valid, sigma = parts(decode.reconstruct(stack))
+    rng = np.random.default_rng(int(stack.frames.sum()))
+    assert stack.calibration is not None
+    low, high = stack.calibration.height_range_mm
+    jump = np.where(rng.random(height.shape) < 0.01, high - low, 0.0)
+    return height + jump, valid, sigma
+
+
+def without_sigma(stack: Stack) -> Image:
     rec = decode.reconstruct(stack)
     return np.where(rec.valid, rec.height_mm, np.nan)
 
@@ -69,7 +81,7 @@ def raises(stack: Stack) -> Heights:
     raise RuntimeError("lens cap on")
 
 
-def of_another_size(stack: Stack) -> np.ndarray:
+def of_another_size(stack: Stack) -> Image:
     return np.zeros((3, 3))
 
 

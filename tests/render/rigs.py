@@ -32,10 +32,7 @@ def pinhole(
 
 
 def telecentric(
-    resolution: tuple[int, int] = (24, 18),
-    field_mm: float = 60.0,
-    x_mm: float = 0.0,
-    **more: Any,
+    resolution: tuple[int, int] = (24, 18), field_mm: float = 60.0, x_mm: float = 0.0, **more: Any
 ) -> Entries:
     """A telecentric device 200 mm above the plane, seeing `field_mm` across its width."""
     return {
@@ -99,7 +96,7 @@ def board(metal: str = "solder") -> list[Entries]:
 
 
 def groove() -> list[Entries]:
-    """Two white plates that face each other at 100 degrees: light goes to and fro between them."""
+    """Two white plates that face each other at 100 degrees: light is reflected between them again and again."""
     shape = {"kind": "plate", "size_mm": (52.0, 100.0)}
     return [
         {
@@ -133,7 +130,7 @@ def scene(
     ambient: float = 0.0,
     patterns: Entries | None = None,
 ) -> Scene:
-    """A scene of these; three-step patterns of 16 px unless told."""
+    """A scene of these; three-step patterns of 16 px by default."""
     return Scene.model_validate(
         {
             "camera": camera,

@@ -1,25 +1,29 @@
 """The same seed gives the same bits, however many threads share the work."""
 
+from collections.abc import Callable, Iterator
+
 import numpy as np
 import pytest
 import trimesh
 
 import render
 import scenes
-from render.normals import vertex_normals
-from render.variant import dr, use
+from render.plugins.shading_normals import vertex_normals
+from render.plugins.variant import dr, use
 
 
 @pytest.fixture
-def threads():
+def threads() -> Iterator[Callable[[int], None]]:
     use()
     before = dr.thread_count()
     yield dr.set_thread_count
     dr.set_thread_count(before)
 
 
-def test_light_on_smooth_surfaces_depends_on_no_thread(threads) -> None:
-    # A quarter of a million triangles, shaded smoothly: what Mitsuba's own normals, summed by several threads, change.
+def test_light_on_smooth_surfaces_is_the_same_for_any_thread_count(
+    threads: Callable[[int], None],
+) -> None:
+    # A quarter of a million triangles, shaded smoothly: Mitsuba's own normals, summed by several threads, would vary.
     scene = scenes.load("spi", {"camera.resolution": [96, 72], "sampling.samples": 1})
     taken = []
     for count in (1, 3):
@@ -38,7 +42,7 @@ def test_vertex_normals_are_those_of_another_implementation() -> None:
     np.testing.assert_allclose(normals, torus.vertex_normals, atol=1e-13)
 
 
-def test_a_vertex_without_a_triangle_still_has_a_unit_normal() -> None:
+def test_vertex_without_a_triangle_has_a_unit_normal() -> None:
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 5, 5.0], [2, 0, 0]])
     faces = np.array([[0, 1, 2], [0, 1, 4]])  # the second is flat as a line
     normals = vertex_normals(vertices, faces)

@@ -1,4 +1,4 @@
-"""What chance may do: the rate of false alarms, seeds, and p-values of whole families of tests."""
+"""Statistics of the suite: the rate of false alarms, seeds, and p-values of families of tests."""
 
 import os
 import zlib
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-# A right program fails one test of the suite in ten thousand runs with fresh seeds: one night in two hundred for all.
+# A correct program fails each test once in ten thousand runs with fresh seeds: the suite one night in a hundred.
 ALPHA = 1e-4
 # A fault counts as found by a test if it finds it nine times in ten.
 POWER = 0.9
@@ -19,18 +19,18 @@ SEED_VARIABLE = "FRINGEBENCH_TRUST_SEED"
 
 
 def generator(*names: object) -> np.random.Generator:
-    """Random numbers of their own for whatever is named."""
+    """An independent random stream for these names."""
     key = [int(os.environ.get(SEED_VARIABLE, "0")), *(zlib.crc32(str(n).encode()) for n in names)]
     return np.random.default_rng(key)
 
 
 def seeds(count: int, *names: object) -> list[int]:
-    """So many seeds, drawn at random: neighbouring ones give Mitsuba correlated streams."""
+    """Seeds drawn at random, because neighbouring ones give Mitsuba correlated streams."""
     return [int(s) for s in generator(*names).integers(0, 2**31, count)]
 
 
 def family(p_values: ArrayLike) -> float:
-    """Chance that the least of so many independent p-values is this small (Sidak; a bound for any dependent ones)."""
+    """Chance that the minimum of as many independent p-values is this small (Sidak; a bound for dependent ones)."""
     p = np.asarray(p_values)
     return float(-np.expm1(p.size * np.log1p(-min(p.min(), 1 - 1e-16))))
 
@@ -51,7 +51,7 @@ def smallest_found(standard_error: float) -> float:
 
 
 def binomial_p(hits: int, trials: int, low: float, high: float) -> float:
-    """Two-sided p-value of a count whose chance lies somewhere in [low, high]."""
+    """Two-sided p-value of a count whose chance is somewhere in [low, high]."""
     above = stats.binom.sf(hits - 1, trials, min(high, 1.0))
     below = stats.binom.cdf(hits, trials, max(low, 0.0))
     return float(min(1.0, 2.0 * min(above, below)))

@@ -1,13 +1,14 @@
-"""Repeated estimates of a scene's frames by the fast pass and by Mitsuba's `path`, and what tells them apart."""
+"""Repeated estimates of a scene's frames by the fast pass and by Mitsuba's `path`, and tests of their difference."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 import render
-from render.variant import mi
+from render.plugins.variant import mi
 from scenes import Scene
 from tests.render.oracle import Comparison
 from tests.trust import chance
@@ -33,7 +34,7 @@ class Judged:
     ) -> Self:
         """Some frames of one projector, drawn at random, each judged by renders of its own.
 
-        With another scene for `judge`, the fast pass is asked for its direct light alone.
+        With another scene for `judge`, only the fast pass's direct light is compared.
         """
         rng = chance.generator("frames", name)
         projector = int(rng.integers(len(scene.projectors)))
@@ -55,7 +56,7 @@ class Judged:
     def traced_as(
         self, scene: Scene, name: str, samples: int = SAMPLES, depth: int | None = None
     ) -> Self:
-        """The same judge, before other light: of a faulty scene, say."""
+        """The same reference, compared with other light: for example that of a faulty scene."""
         seeds = chance.seeds(REPEATS, "ours", name)
         return replace(
             self, ours=_traced(scene, seeds, samples, self.projector, self.frames, depth)
@@ -66,7 +67,7 @@ class Judged:
         return replace(self, ours=self.ours * factor)
 
     def halves(self) -> Self:
-        """The judge against itself: its even repeats before its odd ones."""
+        """The reference compared with itself: its even repeats with its odd ones."""
         return replace(self, ours=self.oracle[::2], oracle=self.oracle[1::2])
 
     def pixel_p_values(self) -> NDArray[np.float64]:
@@ -84,8 +85,15 @@ class Judged:
             self.pixel_p_values(), self.ours.mean(axis=0) - self.oracle.mean(axis=0)
         )
 
+    def save(self, folder: Path) -> None:
+        """Image, reference and z map of each frame as EXR, in a folder per frame."""
+        for f, frame in enumerate(self.frames):
+            into = folder / f"frame-{frame}"
+            into.mkdir()
+            Comparison(self.ours[:, f], self.oracle[:, f]).save(into)
+
     def frame_p_values(self) -> list[float]:
-        """Of the mean over the picture, frame by frame."""
+        """Of the mean over the image, frame by frame."""
         return [
             Comparison(self.ours[:, f], self.oracle[:, f]).mean_bias()[2]
             for f in range(len(self.frames))

@@ -1,4 +1,4 @@
-"""Scenes nobody thought of: random meshes, materials, rigs, lenses, projectors and patterns."""
+"""Random scenes: meshes, materials, rigs, lenses, projectors and patterns."""
 
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ RESOLUTION = (32, 24)
 def random_scene(rng: Rng, folder: Path) -> Scene:
     """One scene within 60 mm; its meshes are written to `folder`."""
     materials = {f"m{i}": _material(rng) for i in range(4)}
-    objects = [
+    objects: list[Entries] = [
         {
             "label": "base",
             "material": "m0",
@@ -26,7 +26,7 @@ def random_scene(rng: Rng, folder: Path) -> Scene:
             "shape": {"kind": "plate", "size_mm": (200.0, 160.0)},
         }
     ]
-    # The plate returns light: what stands on it then has something to mirror and to lie in the shadow of.
+    # The plate returns light, so that bodies on it have something to mirror.
     materials["m0"] = {"kind": "diffuse", "reflectance": float(rng.uniform(0.2, 0.95))}
     for i in range(int(rng.integers(3, 7))):
         path = folder / f"mesh-{i}.ply"

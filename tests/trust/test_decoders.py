@@ -4,6 +4,7 @@ Fringes are made from formulas, light and sensor have no part in them.
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,12 +12,12 @@ from numpy.typing import NDArray
 from scipy import special, stats
 
 import decode
-from decode.gamma import TABLE
-from evaluation import phase_noise
-from evaluation.saturation_bias import clipped_harmonic, saturation_bias
-from scenes.patterns import GrayBits, GrayCode, PhaseShift
-from scenes.sensor import SimpleSensor
-from scenes.stack import Stack
+from decode.phase.gamma import TABLE
+from evaluation.theory import phase_noise
+from evaluation.theory.clipping import clipped_harmonic, saturation_bias
+from scenes.acquisition.patterns import GrayBits, GrayCode, PhaseShift
+from scenes.acquisition.sensor import SimpleSensor
+from scenes.files.stack import Stack
 from tests.decode.synthetic import calibrated_stack, coordinates, hills, rig
 from tests.trust import chance
 
@@ -26,7 +27,12 @@ Floats = NDArray[np.float64]
 Figure = Callable[[str, str], None]
 PHASES, REPEATS = 48, 8192
 MODULATION_DN = 100.0
-PLAIN = {"height": "phase", "unwrap": "row-scan", "saturation": "ignore", "min_modulation_dn": 0.0}
+PLAIN: dict[str, Any] = {
+    "height": "phase",
+    "unwrap": "row-scan",
+    "saturation": "ignore",
+    "min_modulation_dn": 0.0,
+}
 
 
 def even_phases() -> Floats:
@@ -36,7 +42,7 @@ def even_phases() -> Floats:
 def stack_of(
     frames: Floats, patterns: PhaseShift | GrayCode, sigma_dn: float, bits: int = 0
 ) -> Stack:
-    """One exposure of frames (frame, row, col) in DN; unless rounded, nothing clips."""
+    """One exposure of frames (frame, row, col) in DN; without rounding nothing clips."""
     sensor = SimpleSensor(sigma_dn=sigma_dn, bits=bits)
     if bits:
         frames = np.clip(np.rint(frames), 0.0, sensor.full_scale_dn)
@@ -50,13 +56,13 @@ def noisy(means: Floats, sigma_dn: float, *names: object) -> Floats:
     return np.asarray(means[:, None] + sigma_dn * noise)
 
 
-def phase_errors(stack: Stack, true: Floats, **choices: object) -> Floats:
+def phase_errors(stack: Stack, true: Floats, **choices: Any) -> Floats:
     """(repeat, phase) in [-pi, pi)."""
     rec = decode.reconstruct(stack, **(PLAIN | choices))
     return np.asarray((rec.wrapped_rad - true + np.pi) % (2.0 * np.pi) - np.pi, np.float64)
 
 
-def p_of_mean(errors: Floats, expected: Floats | float = 0.0, slack: Floats | float = 0.0) -> float:
+def p_of_mean(errors: Floats, expected: Floats | float = 0.0, slack: Any = 0.0) -> float:
     """Of the means over repeats, phase by phase."""
     off = np.maximum(np.abs(errors.mean(axis=0) - expected) - slack, 0.0)
     return chance.family(chance.two_sided(off / stats.sem(errors, axis=0)))
@@ -72,10 +78,10 @@ FLOAT32_RAD = 3e-6
 
 @pytest.mark.parametrize("snr", [3.0, 10.0, 40.0])
 @pytest.mark.parametrize("steps", [3, 4, 5, 8, 12])
-def test_n_steps_have_a_bias_or_another_noise(
+def test_n_steps_are_unbiased_with_the_noise_of_a_phasor(
     steps: int, snr: float, record_property: Figure
 ) -> None:
-    """Wrong: the least-squares solution. No bias at any phase, by symmetry; noise as the arctangent of a noisy phasor."""
+    """A failure points to the least-squares solution. No bias at any phase, by symmetry; noise as the arctangent of a noisy phasor."""
     true = even_phases()
     means = 200.0 + MODULATION_DN * np.cos(true + shift_of(steps))
     sigma = MODULATION_DN / snr
@@ -113,8 +119,8 @@ def phase_density(a: float, x: Floats) -> Floats:
 
 
 @pytest.mark.parametrize("steps", [3, 4, 5, 6, 8])
-def test_clipped_fringes_do_not_err_as_their_harmonics_say(steps: int) -> None:
-    """Wrong: N-step decoding, or the closed form it is judged by. Random ratios and contrasts, no noise."""
+def test_clipped_fringes_err_by_their_folded_harmonics(steps: int) -> None:
+    """A failure points to N-step decoding, or the closed form it is judged by. Random ratios and contrasts, no noise."""
     rng = chance.generator("clipped", steps)
 
     def ignoring(stack: Stack) -> decode.Reconstruction:
@@ -139,10 +145,10 @@ def test_clipped_fringes_do_not_err_as_their_harmonics_say(steps: int) -> None:
 
 
 @pytest.mark.parametrize("ratio", [1.1, 1.5, 2.0])
-def test_noise_changes_the_bias_of_clipped_8_bit_fringes_otherwise_than_theory(
+def test_noisy_clipped_8_bit_fringes_err_as_censored_normals_predict(
     ratio: float, record_property: Figure
 ) -> None:
-    """Wrong: clipping in the decoder, or the moments of a censored normal that theory is made of."""
+    """A failure points to clipping in the decoder, or the moments of a censored normal that theory is made of."""
     true, sigma, steps = even_phases(), 3.0, 4
     amplitude = 255.0 * ratio / 2.0
     means = amplitude * (1.0 + np.cos(true + shift_of(steps)))
@@ -167,8 +173,8 @@ def gamma_harmonic(m: int, gamma: float) -> float:
 
 @pytest.mark.parametrize("steps", [3, 4, 5])
 @pytest.mark.parametrize("gamma", [0.7, 1.6, 2.2])
-def test_gamma_does_not_bend_the_phase_as_its_harmonics_say(steps: int, gamma: float) -> None:
-    """Wrong: N-step decoding where it is plain; the table that straightens where gamma is given."""
+def test_gamma_bends_the_phase_by_its_folded_harmonics(steps: int, gamma: float) -> None:
+    """A failure points to plain N-step decoding, or, with gamma given, to the table that linearises."""
     patterns = PhaseShift(steps=steps, periods_px=(16.0,))
     true = np.linspace(-np.pi, np.pi, 4096, endpoint=False)
     u = (true % (2.0 * np.pi)) * 16.0 / (2.0 * np.pi)
@@ -194,8 +200,8 @@ def test_gamma_does_not_bend_the_phase_as_its_harmonics_say(steps: int, gamma: f
 
 
 @pytest.mark.parametrize("snr", [10.0, 30.0])
-def test_straightened_phases_have_a_bias(snr: float, record_property: Figure) -> None:
-    """Wrong: noise that goes through the straightening table one-sidedly, beyond what its curvature must do."""
+def test_linearised_phases_are_unbiased(snr: float, record_property: Figure) -> None:
+    """A failure points to a linearising table that makes noise one-sided by more than its curvature does."""
     gamma, steps, true = 2.2, 4, even_phases()
     patterns = PhaseShift(steps=steps, periods_px=(16.0,))
     u = (true % (2.0 * np.pi)) * 16.0 / (2.0 * np.pi)
@@ -219,10 +225,8 @@ HEIGHT = hills(SIZE)
 
 
 @pytest.mark.parametrize("snr", [4.0, 5.0])
-def test_orders_slip_more_or_less_often_than_the_noise_makes_them(
-    snr: float, record_property: Figure
-) -> None:
-    """Wrong: temporal unwrapping. A fine order is wrong where ``|8 e_coarse - e_fine|`` exceeds half a turn."""
+def test_orders_are_wrong_as_often_as_noise_predicts(snr: float, record_property: Figure) -> None:
+    """A failure points to temporal unwrapping. A fine order is wrong where ``|8 e_coarse - e_fine|`` exceeds half a turn."""
     patterns = PhaseShift(steps=4, periods_px=(16.0, 128.0, 512.0))
     column, _ = coordinates(CALIBRATION, HEIGHT)
     modulation, repeats = 40.0, 12
@@ -233,6 +237,7 @@ def test_orders_slip_more_or_less_often_than_the_noise_makes_them(
             CALIBRATION, HEIGHT, patterns, sigma_dn=modulation / snr, modulation=modulation, rng=rng
         )
         rec = decode.reconstruct(stack, anchor="field", height="phase", min_modulation_dn=0.0)
+        assert rec.column_px is not None
         off = rec.column_px - column
         slipped = np.abs(off) > 8.0
         wrong += int(slipped.sum())
@@ -262,7 +267,7 @@ def slip_probability(a: float, ratio: float) -> float:
     below = np.concatenate([[0.0], np.cumsum((density[1:] + density[:-1]) / 2.0) * h])
 
     def chance_below(y: Floats) -> Floats:
-        return np.interp(y, x, below, left=0.0, right=below[-1])
+        return np.asarray(np.interp(y, x, below, left=0.0, right=below[-1]), np.float64)
 
     inside = chance_below(ratio * x + np.pi) - chance_below(ratio * x - np.pi)
     return float(1.0 - (density * inside).sum() * h)
@@ -278,10 +283,10 @@ def slip_probability(a: float, ratio: float) -> float:
     ids=["heterodyne", "gray", "gray-and-two"],
 )
 @pytest.mark.parametrize("sigma_dn", [0.5, 2.0])
-def test_absolute_coordinates_have_a_bias(
+def test_absolute_coordinates_are_unbiased_with_n_step_noise(
     patterns: PhaseShift, sigma_dn: float, record_property: Figure
 ) -> None:
-    """Wrong: an order, a beat's sign, a code's half cell: all off by more than noise. And noise as N steps have it."""
+    """A failure points to an order, a beat's sign or a code's half cell, all off by more than noise, or to N-step noise."""
     column, _ = coordinates(CALIBRATION, HEIGHT)
     rng = chance.generator("coordinates", str(patterns), sigma_dn)
     modulation = 80.0
@@ -296,6 +301,7 @@ def test_absolute_coordinates_have_a_bias(
     sensor = SimpleSensor(sigma_dn=sigma_dn, bits=0)
     stack = Stack(frames.astype(np.float32)[None], patterns.frames(), (1.0,), sensor, CALIBRATION)
     rec = decode.reconstruct(stack, height="phase")
+    assert rec.column_px is not None
     off = (rec.column_px - column)[rec.valid]
     period = min(patterns.periods_px)
     sigma = period / (2.0 * np.pi) * np.sqrt(2.0 / patterns.steps) * sigma_dn / modulation
@@ -312,8 +318,8 @@ def test_absolute_coordinates_have_a_bias(
     assert chance.two_sided(max(abs(spread) - 3e-4 * np.sqrt(off.size / 2.0), 0.0)) > limit
 
 
-def test_gray_code_alone_errs_by_other_than_its_cell(record_property: Figure) -> None:
-    """Wrong: the cell's middle, or its sigma. Coordinates at random, so errors are uniform over the cell, and its mean 0."""
+def test_gray_code_alone_errs_uniformly_within_its_cell(record_property: Figure) -> None:
+    """A failure points to the cell's middle, or its sigma. Coordinates are random, so errors are uniform over the cell with mean 0."""
     patterns = GrayCode(bits=(8,), cell_px=2.0)
     at = chance.generator("gray").uniform(0.0, 512.0, (400, 500))
     frames = np.stack([30.0 + 160.0 * patterns.commanded(f, at) for f in patterns.frames()])

@@ -12,7 +12,8 @@ from scipy import stats
 
 import render
 from scenes import Scene
-from scenes.materials import LIBRARY
+from scenes.rig.projectors import PinholeProjector
+from scenes.shapes.materials import LIBRARY, Conductor
 from tests.render import rigs
 from tests.trust import chance
 
@@ -22,8 +23,8 @@ Floats = NDArray[np.float64]
 Figure = Callable[[str, str], None]
 SKY = 7.0
 REPEATS = 12
-# Facets of a sphere as wide as 2 pi / FACETS of its radius R lie inside it by (width / R)^2 / 8 of R, and that is the
-# order of what they change in what is seen from within.
+# Facets of a sphere as wide as 2 pi / FACETS of its radius R are inside it by (width / R)^2 / 8 of R, which is
+# the order of their effect on the light inside.
 FACETS = 256
 FACET_SLACK = (2.0 * np.pi / FACETS) ** 2 / 8.0
 
@@ -38,7 +39,7 @@ def repeats(scene: Scene, what: str, samples: int, *names: object) -> Floats:
 
 
 def p_of_mean(images: Floats, expected: float | Floats, slack: float = 0.0) -> float:
-    """P-value that the mean over the picture is the expected one's, but for float32 and a relative `slack`."""
+    """P-value that the mean over the image is the expected one's, apart from float32 and a relative `slack`."""
     ratio = np.mean(images / expected, axis=(1, 2))
     error = np.hypot(stats.sem(ratio), chance.ROUNDING)
     off = max(0.0, abs(ratio.mean() - 1.0) - slack)
@@ -54,7 +55,7 @@ def of_mesh(mesh: trimesh.Trimesh, path: Path, material: str, **more: Any) -> li
 def in_furnace(
     objects: list[dict[str, Any]], materials: dict[str, Any], depth: int, field_mm: float = 14.0
 ) -> Scene:
-    """Objects under uniform light, seen close enough to fill the picture; the projector stands far aside."""
+    """Objects under uniform light, seen close enough to fill the image; the projector is far to the side."""
     return Scene.model_validate(
         {
             "camera": rigs.pinhole((16, 12), field_mm=field_mm),
@@ -70,8 +71,8 @@ def in_furnace(
     )
 
 
-def test_a_convex_body_does_not_show_its_reflectance(tmp_path: Path) -> None:
-    """Wrong: the weight of a bounce, or of what it finds in the sky. No other surface is in sight: L = rho L_sky."""
+def test_convex_body_in_a_furnace_shows_its_reflectance(tmp_path: Path) -> None:
+    """A failure points to the weight of a bounce or of sky light. The body sees only sky: L = rho L_sky."""
     rng = chance.generator("hull")
     p = []
     for i in range(6):
@@ -112,10 +113,10 @@ def bowl(radius_mm: float, half_angle_deg: float, rows: int, columns: int) -> tr
 @pytest.mark.parametrize(
     ("half_angle_deg", "depth"), [(60.0, 3), (120.0, 1), (120.0, 2), (120.0, 4), (120.0, 8)]
 )
-def test_a_bowl_under_the_sky_does_not_hold_the_series_of_its_bounces(
+def test_bowl_under_the_sky_has_the_series_of_its_bounces(
     half_angle_deg: float, depth: int, tmp_path: Path, record_property: Figure
 ) -> None:
-    """Wrong: a bounce lost or counted twice, or its weight.
+    """A failure points to a bounce lost or counted twice, or its weight.
 
     In a sphere every point sees every other alike: a bowl that is a share f of its sphere sees itself with f and the sky
     with 1 - f, from everywhere. So ``L = rho (1 - f) L_sky (1 + rho f + ... + (rho f)^(d-1))``.
@@ -132,10 +133,10 @@ def test_a_bowl_under_the_sky_does_not_hold_the_series_of_its_bounces(
 
 
 @pytest.mark.parametrize("depth", [2, 3, 6])
-def test_a_closed_sphere_does_not_hold_the_series_of_its_bounces(
+def test_closed_sphere_has_the_series_of_its_bounces(
     depth: int, tmp_path: Path, record_property: Figure
 ) -> None:
-    """Wrong: a bounce of the projector's light lost or counted twice, its weight, or the projector's power.
+    """A failure points to a bounce of the projector's light lost or counted twice, its weight, or the projector's power.
 
     Bounce k adds ``rho^k E / pi`` evenly, E the projector's power over the sphere's area.
     """
@@ -203,11 +204,12 @@ def ggx_albedo(cosine: float, alpha: float, eta: float, k: float) -> float:
 
 @pytest.mark.parametrize("tilt_deg", [0.0, 40.0, 70.0])
 @pytest.mark.parametrize("name", ["mirror", "solder", "gold", "solder-paste"])
-def test_metal_in_a_furnace_is_not_its_directional_reflectance(
+def test_metal_in_a_furnace_shows_its_directional_reflectance(
     name: str, tilt_deg: float, record_property: Figure
 ) -> None:
-    """Wrong: Fresnel's equations, the microfacets, or how they are sampled: light gained or lost."""
+    """A failure points to Fresnel's equations, the microfacets or their sampling."""
     metal = LIBRARY[name]
+    assert isinstance(metal, Conductor)
     plate = {"kind": "plate", "size_mm": (200.0, 200.0)}
     tilted = {"rotation_deg": (0.0, tilt_deg, 0.0), "shape": plate, "material": name}
     # A telecentric camera sees every point of the plate at one angle.
@@ -229,8 +231,8 @@ def test_metal_in_a_furnace_is_not_its_directional_reflectance(
 
 
 @pytest.mark.parametrize("name", sorted(LIBRARY))
-def test_a_material_returns_more_light_than_it_gets(name: str, tmp_path: Path) -> None:
-    """Wrong: a BSDF that makes energy. A closed convex body under a uniform sky is nowhere brighter than the sky."""
+def test_materials_return_no_more_light_than_they_receive(name: str, tmp_path: Path) -> None:
+    """A failure points to a BSDF that makes energy. A closed convex body under a uniform sky is nowhere brighter than the sky."""
     body = trimesh.creation.icosphere(subdivisions=3, radius=15.0)
     objects = of_mesh(body, tmp_path / "body.ply", name, position_mm=(0.0, 0.0, 15.0))
     images = repeats(in_furnace(objects, {}, 16), "ambient", 64, "energy", name)
@@ -241,8 +243,10 @@ def test_a_material_returns_more_light_than_it_gets(name: str, tmp_path: Path) -
     assert 0.0 < images.mean() < SKY
 
 
-def test_clear_resin_does_not_pass_on_what_it_gets(tmp_path: Path, record_property: Figure) -> None:
-    """Wrong: the change of radiance by the index squared, or its inverse on the way out. Lossless but for what single
+def test_clear_resin_loses_only_what_single_scattering_loses(
+    tmp_path: Path, record_property: Figure
+) -> None:
+    """A failure points to the change of radiance by the index squared, or its inverse on the way out. Lossless but for what single
     scattering by microfacets loses, which falls with roughness: 3 % a crossing at 0.1, and a few crossings.
     """
     body = trimesh.creation.icosphere(subdivisions=3, radius=15.0)
@@ -261,10 +265,8 @@ def test_clear_resin_does_not_pass_on_what_it_gets(tmp_path: Path, record_proper
 
 
 @pytest.mark.parametrize("case", range(8))
-def test_a_tilted_plate_is_not_lit_by_cosine_and_distance(
-    case: int, record_property: Figure
-) -> None:
-    """Wrong: the projector's cosine, or its inverse square. Paint under white light alone, random pose.
+def test_tilted_plate_is_lit_by_cosine_and_distance(case: int, record_property: Figure) -> None:
+    """A failure points to the projector's cosine, or its inverse square. Paint under white light alone, random pose.
 
     ``E = E0 cos a`` (telecentric), ``E0 (z_ref / z)^2 cos a / cos b`` (pinhole; a from the surface's normal, b from the
     projector's axis), averaged over each pixel by quadrature.
@@ -310,6 +312,7 @@ def _irradiance(scene: Scene, nodes: int = 8) -> Floats:
                 ray = points - projector.origin_mm
                 depth = ray @ projector.axis
                 # cos a / cos b: both over the ray's length, which cancels
+                assert isinstance(light, PinholeProjector)
                 here = light.irradiance_w_m2 * (light.reference_mm / depth) ** 2
                 here = here * np.abs(ray[..., 2]) / depth
             total += wx * wy * here

@@ -1,11 +1,12 @@
-"""Random numbers that should have nothing to do with each other: exposures, frames, pixels, seeds, samples.
+"""Random numbers that must be independent: those of exposures, frames, pixels, seeds, samples.
 
-A correlation of n independent pairs scatters about 0 by 1 / sqrt(n), whatever the law of the pairs, once they are scaled to
-unit variance; of many looked at, the largest is judged as such.
+A correlation of n independent pairs scatters about 0 by 1 / sqrt(n), for any law of the pairs, once they are scaled to
+unit variance; among many, the largest is judged as the largest.
 """
 
 from collections.abc import Callable
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from scipy import stats
 
 import render
 from scenes import Scene
-from scenes.sensor import Emva, SimpleSensor
+from scenes.acquisition.sensor import Emva, SimpleSensor
 from tests.render import rigs
 from tests.trust import chance
 
@@ -33,7 +34,7 @@ def noise_of(sensor: Emva | SimpleSensor) -> Floats:
         rigs.telecentric(SIZE), rigs.telecentric_projector(), objects=rigs.plane(), depth=1
     )
     light = render.trace(scene, samples=4)
-    how = {"sensor": sensor, "exposures": list(TIMES_MS)}
+    how: dict[str, Any] = {"sensor": sensor, "exposures": list(TIMES_MS)}
     mean = render.expose(light, noise=False, **how).frames.astype(np.float64)
     sigma = np.sqrt(sensor.variance_dn2(mean))
     first = chance.seeds(1, "noise", sensor.kind)[0]
@@ -46,13 +47,13 @@ SENSORS = [Emva(bits=0, full_well_e=1e9), SimpleSensor(bits=0)]
 
 
 @pytest.mark.parametrize("sensor", SENSORS, ids=lambda s: s.kind)
-def test_pictures_share_noise(sensor: Emva | SimpleSensor, record_property: Figure) -> None:
-    """Wrong: two frames, exposures or seeds draw from one stream, or their noise has one size where it should not."""
+def test_images_share_no_noise(sensor: Emva | SimpleSensor, record_property: Figure) -> None:
+    """A failure points to two frames, exposures or seeds that draw from one stream, or that share the size of their noise."""
     images = noise_of(sensor).reshape(-1, SIZE[0] * SIZE[1])
     upper = np.triu_indices(len(images), 1)
     pixels = images.shape[1]
     for what, values in (("noise", images), ("its square", images**2)):
-        table = np.corrcoef(values)[upper]
+        table = np.asarray(np.corrcoef(values))[upper]
         z = np.abs(table).max() * np.sqrt(pixels)
         p = chance.family(np.append(np.ones(len(table) - 1), chance.two_sided(z)))
         record_property(
@@ -62,15 +63,15 @@ def test_pictures_share_noise(sensor: Emva | SimpleSensor, record_property: Figu
 
 
 @pytest.mark.parametrize("sensor", SENSORS, ids=lambda s: s.kind)
-def test_pixels_share_noise(sensor: Emva | SimpleSensor, record_property: Figure) -> None:
-    """Wrong: a stream that repeats itself, or two streams that overlap. At every lag in pixel order, within a picture and
+def test_pixels_share_no_noise(sensor: Emva | SimpleSensor, record_property: Figure) -> None:
+    """A failure points to a stream that repeats itself, or two streams that overlap. At every lag in pixel order, within an image and
     between one and the next frame, exposure and seed.
     """
     noise = noise_of(sensor)
     noise = (noise - noise.mean(axis=-1, keepdims=True)) / noise.std(axis=-1, keepdims=True)
     waves = np.fft.rfft(noise)
     pairs = {
-        "pixels of a picture": (waves, waves),
+        "pixels of an image": (waves, waves),
         "frames": (waves[:, :, :-1], waves[:, :, 1:]),
         "exposures": (waves[:, :-1], waves[:, 1:]),
         "seeds": (waves[:-1], waves[1:]),
@@ -89,8 +90,8 @@ def test_pixels_share_noise(sensor: Emva | SimpleSensor, record_property: Figure
         assert p > chance.ALPHA / 8
 
 
-def test_a_chips_pattern_is_in_its_noise() -> None:
-    """Wrong: fixed pattern and noise of one seed draw the same numbers."""
+def test_fixed_pattern_and_noise_are_independent() -> None:
+    """A failure points to fixed pattern and noise of one seed drawing the same numbers."""
     scene = rigs.scene(
         rigs.telecentric(SIZE), rigs.telecentric_projector(), objects=rigs.plane(), depth=1
     )
@@ -104,15 +105,15 @@ def test_a_chips_pattern_is_in_its_noise() -> None:
         for i in range(SEEDS)
     ]
     stack = np.array(many, np.float64)
-    # Of other seeds' pictures only the chip's part is shared with the first one's noise about their mean.
+    # Other seeds' images share only the chip's part with the first image's noise around their mean.
     pattern = stack[1:].mean(axis=0) - stack[1:].mean(axis=(0, 2, 3))[:, None, None]
     clean = render.expose(light, sensor=sensor, exposures=[4.0], noise=False).frames[0]
     pattern = stack[1:].mean(axis=0) - clean
     noise = stack[0] - stack[1:].mean(axis=0)
-    # The mean of the others stands in both, with opposite signs: their noise, known from their scatter, is put back.
+    # Both contain the mean of the others, with opposite signs: its noise, known from their scatter, is added back.
     share = stack[1:].var(axis=0, ddof=1) / (SEEDS - 1)
     product = pattern * noise + share
-    p = [stats.ttest_1samp(frame.ravel(), 0.0).pvalue for frame in product]
+    p = [float(stats.ttest_1samp(frame.ravel(), 0.0).pvalue) for frame in product]
     assert chance.family(p) > chance.ALPHA
 
 
@@ -140,7 +141,7 @@ def light_of(scene: Scene, seed: int, samples: int = SAMPLES) -> Floats:
 class Errors:
     """Errors of a scene's light, in standard deviations of a pixel.
 
-    Two references, of seeds of their own: an error in one of them would otherwise stand in both factors of a product.
+    Two references, of seeds of their own: an error in one of them would otherwise be in both factors of a product.
     """
 
     def __init__(self, name: str) -> None:
@@ -166,11 +167,11 @@ def errors(request: pytest.FixtureRequest) -> Errors:
 
 
 def judged(products: list[Floats], record_property: Figure, what: str) -> None:
-    """No correlation: mean products over the picture, one for each independent repeat, have mean 0 (Student's t)."""
+    """No correlation: mean products over the image, one for each independent repeat, have mean 0 (Student's t)."""
     table = np.array([p.mean(axis=(-2, -1)) for p in products])
     table = table.reshape(len(table), -1)
     table = table[:, table.std(axis=0) > 0]
-    p = stats.ttest_1samp(table, 0.0, axis=0).pvalue
+    p = np.asarray(stats.ttest_1samp(table, 0.0, axis=0).pvalue)
     worst = int(np.argmin(p))
     record_property(
         "figure",
@@ -180,8 +181,10 @@ def judged(products: list[Floats], record_property: Figure, what: str) -> None:
     assert chance.family(p) > chance.ALPHA / 8
 
 
-def test_light_of_neighbouring_seeds_is_alike(errors: Errors, record_property: Figure) -> None:
-    """Wrong: seeds that differ little give streams that differ little: data sets of seeds 0, 1, 2 would repeat themselves."""
+def test_light_of_neighbouring_seeds_is_independent(
+    errors: Errors, record_property: Figure
+) -> None:
+    """A failure points to similar seeds with similar streams: data sets of seeds 0, 1, 2 would repeat themselves."""
     starts = chance.seeds(TRACES, "pairs", errors.name)
     next_ = [errors.of(s, 0) * errors.of(s + 1, 1) for s in starts]
     judged(next_, record_property, "seeds i, i + 1")
@@ -189,11 +192,13 @@ def test_light_of_neighbouring_seeds_is_alike(errors: Errors, record_property: F
     judged(bits, record_property, "seeds one bit apart")
 
 
-def test_light_of_neighbouring_pixels_is_alike(errors: Errors, record_property: Figure) -> None:
-    """Wrong: pixels share paths or directions, so that noise comes in blotches and averaging pixels gains less than sqrt n."""
+def test_light_of_neighbouring_pixels_is_independent(
+    errors: Errors, record_property: Figure
+) -> None:
+    """A failure points to pixels that share paths or directions: noise has blotches, and averaging n pixels gains less than sqrt n."""
     starts = chance.seeds(TRACES, "pixels", errors.name)
     pairs = [(errors.of(s, 0), errors.of(s, 1)) for s in starts]
-    # One trace, before both references.
+    # One trace, compared with both references.
     for rows, columns in ((0, 1), (1, 0), (1, 1), (0, 2), (2, 0), (0, 5)):
         products = [
             a[:, : a.shape[1] - rows, : a.shape[2] - columns] * b[:, rows:, columns:]
@@ -202,8 +207,10 @@ def test_light_of_neighbouring_pixels_is_alike(errors: Errors, record_property: 
         judged(products, record_property, f"pixels {rows} rows, {columns} columns apart")
 
 
-def test_light_of_other_sample_counts_is_alike(errors: Errors, record_property: Figure) -> None:
-    """Wrong: n samples of one seed and 2n of another share numbers. Of one seed they do, and may: see the figure."""
+def test_light_of_other_sample_counts_and_seeds_is_independent(
+    errors: Errors, record_property: Figure
+) -> None:
+    """A failure points to n samples of one seed and 2n of another sharing numbers. Those of one seed do share: see the figure."""
     starts = chance.seeds(TRACES, "samples", errors.name)
     judged(
         [

@@ -2,14 +2,17 @@
 
 import hashlib
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import pytest
 
 import scenes
-from fringebench.datasets.build import build
-from fringebench.datasets.plan import Plan
+from fringebench.datasets import building
+from fringebench.datasets.building import build
+from fringebench.datasets.dataset_plan import DatasetPlan
+from fringebench.datasets.sample import Record, attempt
+from fringebench.datasets.store import Store
 
 SAMPLES = 6
 
@@ -76,17 +79,33 @@ def scene_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def plan(scene_file: Path) -> Plan:
+def plan(scene_file: Path) -> DatasetPlan:
     """Six samples of it."""
-    return Plan.of(scenes.load(scene_file), SAMPLES, seed=7)
+    return DatasetPlan.of(scenes.load(scene_file), SAMPLES, seed=7)
 
 
 @pytest.fixture(scope="session")
-def undisturbed(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def undisturbed(plan: DatasetPlan, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The data set, made by one worker in one go; not to be touched."""
     folder = tmp_path_factory.mktemp("undisturbed") / "set"
     build(plan, folder, workers=1)
     return folder
+
+
+@pytest.fixture
+def here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Samples are made in this process, as `test_resume` shows that processes make them; a worker takes seconds to start."""
+
+    def made(
+        plan: DatasetPlan, indices: Iterable[int], store: Store, workers: int
+    ) -> Iterator[tuple[Record, Path | None]]:
+        scene = plan.load_scene()
+        for index in indices:
+            with store.staging() as folder:
+                record = attempt(plan, scene, index, folder)
+                yield record, folder if record.status == "made" else None
+
+    monkeypatch.setattr(building, "in_processes", made)
 
 
 @pytest.fixture

@@ -10,9 +10,9 @@ import pytest
 
 import fringebench
 import scenes
-from fringebench.datasets.build import build, repair
-from fringebench.datasets.plan import Plan
-from scenes.errors import DatasetError
+from fringebench.datasets.building import build, repair
+from fringebench.datasets.dataset_plan import DatasetPlan
+from scenes.support.errors import DatasetError
 
 Call = Callable[..., tuple[int, str, str]]
 
@@ -24,15 +24,16 @@ def call(call: Call) -> Call:
 
 
 @pytest.fixture(scope="module")
-def fickle(scene_file: Path) -> Plan:
+def fickle(scene_file: Path) -> DatasetPlan:
     """Half of its samples ask for an exposure level beyond saturation: they cannot be."""
     text = scene_file.read_text()
     text += '"exposures.auto.level_dn" = { kind = "choice", values = [1200.0, 9000.0] }\n'
-    return Plan.of(scenes.parse(text), 6, seed=1)
+    return DatasetPlan.of(scenes.parse(text), 6, seed=1)
 
 
-def test_a_failing_sample_is_recorded_and_does_not_stop_the_run(
-    fickle: Plan, tmp_path: Path
+@pytest.mark.usefixtures("here")
+def test_failing_sample_is_recorded_and_does_not_stop_the_run(
+    fickle: DatasetPlan, tmp_path: Path
 ) -> None:
     built = build(fickle, tmp_path / "set")
     lost = {record.index for record in built.failed}
@@ -44,36 +45,39 @@ def test_a_failing_sample_is_recorded_and_does_not_stop_the_run(
     assert repair(tmp_path / "set").repaired == ()
 
 
+@pytest.mark.usefixtures("here")
 def test_strict_stops_at_the_first_failure_and_keeps_what_was_made(
-    fickle: Plan, tmp_path: Path
+    fickle: DatasetPlan, tmp_path: Path
 ) -> None:
     with pytest.raises(DatasetError, match=r"cannot be made: .*level_dn 9000.*is kept"):
         build(fickle, tmp_path / "set", strict=True)
     assert build(fickle, tmp_path / "set").made < 6
 
 
-def test_a_set_of_which_nothing_could_be_made_is_no_success(
-    scene_file: Path, tmp_path: Path
-) -> None:
+@pytest.mark.usefixtures("here")
+def test_set_without_any_sample_is_an_error(scene_file: Path, tmp_path: Path) -> None:
     scene = scenes.load(scene_file, {"exposures.auto.level_dn": 9000.0})
     with pytest.raises(DatasetError, match="none of the 2 samples"):
-        build(Plan.of(scene, 2), tmp_path / "set")
+        build(DatasetPlan.of(scene, 2), tmp_path / "set")
 
 
-def test_an_output_that_cannot_be_written_stops_the_run_at_once(plan: Plan, tmp_path: Path) -> None:
+def test_output_that_cannot_be_written_stops_the_run_at_once(
+    plan: DatasetPlan, tmp_path: Path
+) -> None:
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(DatasetError, match="cannot use"):
         build(plan, tmp_path / "file" / "set")
 
 
-def test_a_folder_full_of_something_else_is_not_taken_over(tmp_path: Path, plan: Plan) -> None:
+def test_folder_full_of_something_else_is_not_taken_over(tmp_path: Path, plan: DatasetPlan) -> None:
     (tmp_path / "dataset.toml").write_text("[tool]\nname = 1\n")
-    with pytest.raises(DatasetError, match="is no plan of a data set"):
+    with pytest.raises(DatasetError, match="is not the plan of a data set"):
         build(plan, tmp_path)
     assert [p.name for p in tmp_path.iterdir()] == ["dataset.toml"]
 
 
-def test_the_command_makes_checks_and_mends(call: Call, scene_file: Path, tmp_path: Path) -> None:
+@pytest.mark.usefixtures("here")
+def test_command_makes_verifies_and_repairs(call: Call, scene_file: Path, tmp_path: Path) -> None:
     folder = tmp_path / "set"
     words = (scene_file, "--count", 2, "-o", folder, "--workers", 1, "--json")
     status, out, err = call(*words, "--set", "sampling.depth=1", "--split", "all=1")
@@ -88,10 +92,13 @@ def test_the_command_makes_checks_and_mends(call: Call, scene_file: Path, tmp_pa
     assert "samples/000001/truth.exr: missing" in out
     assert call("--repair", "-o", folder, "--workers", 1)[0] == 0
     assert call("--verify", "-o", folder)[0] == 0
+    assert {path.name for path in folder.iterdir()} == {
+        *("coco", "dataset.toml", "manifest.parquet", "report.html", "samples")
+    }
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (("spi", "--count", 2), "-o"),
         (("spi", "-o", "x"), "--count"),
@@ -102,6 +109,10 @@ def test_the_command_makes_checks_and_mends(call: Call, scene_file: Path, tmp_pa
         (("spi", "--count", 2, "-o", "nonesuch://x"), "cannot open 'nonesuch://x'"),
         (("spi", "--count", 2, "-o", "x", "--set", "camera.colour=1"), "unknown key"),
         (("--verify", "-o", "x"), "holds no data set"),
+        (("spi", "--count", 2, "-o", ""), "place of the data set is empty"),
+        (("spi", "--count", 2, "-o", "file://"), "place of the data set is empty"),
+        (("spi", "--count", 2, "-o", "memory://set"), "lost when it ends"),
+        (("spi", "--count", 2, "-o", "simplecache::memory://set"), "lost when it ends"),
     ],
 )
 def test_bad_use_is_one_message_and_leaves_nothing(
@@ -109,26 +120,27 @@ def test_bad_use_is_one_message_and_leaves_nothing(
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
     words: tuple[object, ...],
-    told: str,
+    message: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     status, out, err = call(*words)
     assert status == 2
-    assert told in err
+    assert message in err
     assert "Traceback" not in err
     assert out == ""
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_run_from_a_folder_with_a_module_of_our_names_works(
+@pytest.mark.slow
+def test_run_from_a_folder_with_a_module_of_our_names_works(
     scene_file: Path, tmp_path: Path
 ) -> None:
-    # Workers must find this project's packages, not what lies in the user's folder.
+    # Workers must find this project's packages, not those of the user's folder.
     (tmp_path / "scenes.py").write_text("raise RuntimeError('not this one')\n")
     words = ["dataset", str(scene_file), "--count", "1", "-o", "set", "--workers", "1"]
     root = str(Path(fringebench.__file__).parents[1])
     run = subprocess.run(
-        [sys.executable, "-P", "-c", "from fringebench.cli import main; main()", *words],
+        [sys.executable, "-P", "-c", "from fringebench.cli.app import main; main()", *words],
         cwd=tmp_path,
         env={**__import__("os").environ, "PYTHONPATH": root},
         capture_output=True,

@@ -1,6 +1,7 @@
 """Data sets at URLs and from a Dask cluster equal those of a folder and of one worker."""
 
 import json
+import multiprocessing
 import os
 import shutil
 import signal
@@ -8,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -16,11 +18,11 @@ import numpy as np
 import pytest
 
 import fringebench
-from fringebench.datasets.build import build, repair
-from fringebench.datasets.plan import Plan
+from fringebench.datasets.building import build, repair
+from fringebench.datasets.dataset_plan import DatasetPlan
 from fringebench.datasets.store import open_store
-from fringebench.datasets.verify import verify
-from scenes.errors import DatasetError
+from fringebench.datasets.verification import verify
+from scenes.support.errors import DatasetError
 
 Checksums = Callable[[Path], dict[str, str]]
 Start = Callable[..., subprocess.Popen[bytes]]
@@ -34,8 +36,9 @@ def url() -> Iterator[str]:
     files.rm("/", recursive=True)
 
 
-def test_a_set_at_a_url_is_the_same_and_can_be_read_verified_and_repaired(
-    plan: Plan, undisturbed: Path, url: str, tmp_path: Path, checksums: Checksums
+@pytest.mark.usefixtures("here")
+def test_set_at_a_url_is_the_same_and_can_be_read_verified_and_repaired(
+    plan: DatasetPlan, undisturbed: Path, url: str, tmp_path: Path, checksums: Checksums
 ) -> None:
     build(plan, url)
     files = fsspec.filesystem("memory")
@@ -53,7 +56,7 @@ def test_a_set_at_a_url_is_the_same_and_can_be_read_verified_and_repaired(
 
 
 @pytest.mark.parametrize("kind", ["folder", "memory"])
-def test_both_kinds_of_place_behave_alike(kind: str, tmp_path: Path, url: str) -> None:
+def test_folders_and_urls_behave_the_same(kind: str, tmp_path: Path, url: str) -> None:
     store = open_store(url if kind == "memory" else tmp_path / "place")
     assert store.list() == []
     assert store.read("a/b.txt") is None
@@ -75,6 +78,20 @@ def test_both_kinds_of_place_behave_alike(kind: str, tmp_path: Path, url: str) -
     store.remove("things")
     store.remove("things")
     assert store.list("things") == []
+
+
+def _write_often(where: Path, name: str) -> None:
+    for index in range(300):
+        open_store(where).write(f"files/{name}-{index}", b"x")
+
+
+def test_processes_that_write_at_once_leave_each_others_staging_alone(tmp_path: Path) -> None:
+    spawned = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(4, mp_context=spawned) as processes:
+        for writing in [processes.submit(_write_often, tmp_path, name) for name in "abcd"]:
+            writing.result()
+    assert [path.name for path in tmp_path.iterdir()] == ["files"]
+    assert len(list((tmp_path / "files").iterdir())) == 1200
 
 
 @pytest.fixture
@@ -105,7 +122,7 @@ def cluster(start: Start, tmp_path: Path) -> str:
         *("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", 0),
         *("--no-dashboard", "--scheduler-file", about),
     )
-    deadline = time.monotonic() + 60.0
+    deadline = time.monotonic() + 300.0
     while not about.exists():
         assert time.monotonic() < deadline
         time.sleep(0.1)
@@ -123,26 +140,26 @@ def _worker(start: Start, address: str, threads: int = 1) -> subprocess.Popen[by
 # Dask warns of its own sockets when a scheduler's other ends go away.
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
-def test_a_cluster_makes_the_same_even_if_a_worker_is_killed_in_mid_run(
-    plan: Plan,
+def test_cluster_makes_the_same_even_if_a_worker_is_killed_in_mid_run(
+    plan: DatasetPlan,
     undisturbed: Path,
     cluster: str,
     start: Start,
     tmp_path: Path,
     checksums: Checksums,
 ) -> None:
-    # Each with two threads: Mitsuba must bear being called from several.
-    doomed, _ = _worker(start, cluster, 2), _worker(start, cluster, 2)
+    # Each with two threads: Mitsuba is called from several.
+    victim, _ = _worker(start, cluster, 2), _worker(start, cluster, 2)
     longer = plan.model_copy(update={"count": 30})
-    struck = []
+    killed: list[int] = []
 
-    def strike(done: int, bad: int, total: int) -> None:
-        if done >= 4 and not struck:
-            struck.append(done)
-            doomed.send_signal(signal.SIGKILL)
+    def kill_one(done: int, bad: int, total: int) -> None:
+        if done >= 4 and not killed:
+            killed.append(done)
+            victim.send_signal(signal.SIGKILL)
 
-    built = build(longer, tmp_path / "set", scheduler=cluster, progress=strike)
-    assert struck
+    built = build(longer, tmp_path / "set", scheduler=cluster, progress=kill_one)
+    assert killed
     assert built.made == 30
     assert not built.failed
     build(longer, tmp_path / "here", workers=2)
@@ -155,18 +172,18 @@ def test_a_cluster_makes_the_same_even_if_a_worker_is_killed_in_mid_run(
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
-def test_workers_that_write_where_nobody_looks_are_noticed(
-    plan: Plan, cluster: str, start: Start, url: str
+def test_workers_that_write_to_another_folder_are_detected(
+    plan: DatasetPlan, cluster: str, start: Start, url: str
 ) -> None:
-    # Memory is each process's own: what a cluster's worker writes there never arrives here.
+    # Memory is each process's own: what a worker writes there does not arrive here.
     _worker(start, cluster)
     with pytest.raises(DatasetError, match="is not there: workers of a cluster must share"):
         build(plan, url, scheduler=cluster)
 
 
-def test_a_scheduler_that_does_not_answer_is_one_message(plan: Plan, tmp_path: Path) -> None:
+def test_scheduler_that_does_not_answer_is_one_message(plan: DatasetPlan, tmp_path: Path) -> None:
     pytest.importorskip("distributed")
-    from fringebench.datasets import cluster
+    from fringebench.datasets.execution import cluster
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(cluster, "CONNECT_S", 1)

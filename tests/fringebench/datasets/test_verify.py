@@ -1,24 +1,26 @@
-"""Damage is found, named and mended, and nothing else is touched."""
+"""Damage is found, reported and repaired; nothing else is changed."""
 
 import json
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from fringebench.datasets.build import build, repair
-from fringebench.datasets.plan import Plan
-from fringebench.datasets.verify import verify
-from scenes.errors import DatasetError
+from fringebench.datasets.building import build, repair
+from fringebench.datasets.dataset_plan import DatasetPlan
+from fringebench.datasets.verification import verify
+from scenes.support.errors import DatasetError
 
+pytestmark = pytest.mark.usefixtures("here")
 Checksums = Callable[[Path], dict[str, str]]
 
 
-def test_an_undisturbed_set_has_no_problems(undisturbed: Path) -> None:
+def test_undisturbed_set_has_no_problems(undisturbed: Path) -> None:
     assert verify(undisturbed) == ()
 
 
-def test_every_kind_of_damage_is_found_and_mended(
+def test_every_kind_of_damage_is_found_and_repaired(
     copy: Path, undisturbed: Path, checksums: Checksums
 ) -> None:
     samples = copy / "samples"
@@ -30,7 +32,10 @@ def test_every_kind_of_damage_is_found_and_mended(
         path.unlink()
     (samples / "000002").rmdir()
     (samples / "000003/notes.txt").write_text("mine")
+    # The set's samples are numbered from 0: its count is no number of a sample.
+    beyond = f"{len(list(samples.iterdir())) + 1:06d}"
     (samples / "stray").mkdir()
+    (samples / beyond).mkdir()
     (copy / "coco/val.json").write_text("{}")
     untouched = (samples / "000004/stack.exr").stat().st_mtime_ns
     found = {(p.file, p.what) for p in verify(copy)}
@@ -38,9 +43,10 @@ def test_every_kind_of_damage_is_found_and_mended(
         ("samples/000000/truth.exr", "missing"),
         ("samples/000001/stack.exr", "altered"),
         *((f"samples/000002/{n}", "missing") for n in ("stack.exr", "truth.exr")),
-        *((f"samples/000002/{n}", "missing") for n in ("scene.toml", "labels.json")),
+        *((f"samples/000002/{n}", "missing") for n in ("scene.toml", "labels.json", "picture.png")),
         ("samples/000003/notes.txt", "surplus"),
         ("samples/stray", "surplus"),
+        (f"samples/{beyond}", "surplus"),
         ("coco/val.json", "altered"),
     }
     done = repair(copy)
@@ -52,7 +58,7 @@ def test_every_kind_of_damage_is_found_and_mended(
 
 
 @pytest.mark.parametrize("damage", ["missing", "damaged"])
-def test_a_lost_manifest_is_made_again(
+def test_lost_manifest_is_made_again(
     copy: Path, undisturbed: Path, checksums: Checksums, damage: str
 ) -> None:
     if damage == "missing":
@@ -66,7 +72,20 @@ def test_a_lost_manifest_is_made_again(
     assert checksums(copy) == checksums(undisturbed)
 
 
-def test_a_sample_that_comes_out_otherwise_is_named_and_not_slipped_in(copy: Path) -> None:
+def test_any_changed_byte_of_the_manifest_is_detected(copy: Path) -> None:
+    from fringebench.datasets.manifest import Manifest
+
+    content = (copy / "manifest.parquet").read_bytes()
+    rng = np.random.default_rng(0)
+    # Every twelfth byte, with a random change: the footer alone has thousands.
+    for place in range(0, len(content), 12):
+        changed = bytearray(content)
+        changed[place] ^= int(rng.integers(1, 256))
+        with pytest.raises(DatasetError, match="damaged"):
+            Manifest.of_bytes(bytes(changed), "")
+
+
+def test_sample_that_differs_from_the_manifest_is_reported_and_kept(copy: Path) -> None:
     from fringebench.datasets.contents import read_manifest
     from fringebench.datasets.manifest import Manifest
     from fringebench.datasets.store import open_store
@@ -85,7 +104,7 @@ def test_a_sample_that_comes_out_otherwise_is_named_and_not_slipped_in(copy: Pat
     assert [p.index for p in verify(copy)] == [1]
 
 
-def test_an_altered_plan_is_no_base_for_repairs(copy: Path) -> None:
+def test_altered_plan_is_not_repaired_from(copy: Path) -> None:
     text = (copy / "dataset.toml").read_text()
     (copy / "dataset.toml").write_text(text.replace("seed = 7", "seed = 8", 1))
     (copy / "samples/000001/stack.exr").unlink()
@@ -94,22 +113,22 @@ def test_an_altered_plan_is_no_base_for_repairs(copy: Path) -> None:
         repair(copy)
 
 
-def test_another_scene_seed_or_split_never_mixes_into_a_set(plan: Plan, copy: Path) -> None:
+def test_another_scene_seed_or_split_never_mixes_into_a_set(plan: DatasetPlan, copy: Path) -> None:
     scene = json.loads(json.dumps(plan.scene))
     scene["board"]["paste"]["volume"]["sd"] = 0.2
-    for change, told in (
+    for change, message in (
         ({"scene": scene}, r"another scene \(they differ in board.paste.volume.sd\)"),
         ({"seed": 8}, "seed 7, not 8"),
         ({"splits": {"all": 1.0}}, "splits"),
         ({"count": 3}, "grow, not shrink"),
     ):
-        with pytest.raises(DatasetError, match=told):
+        with pytest.raises(DatasetError, match=message):
             build(plan.model_copy(update=change), copy)
     assert verify(copy) == ()
 
 
-def test_other_versions_do_not_go_on_with_a_set(plan: Plan, copy: Path) -> None:
-    from fringebench.datasets import build as building
+def test_other_versions_cannot_continue_a_set(plan: DatasetPlan, copy: Path) -> None:
+    from fringebench.datasets import building
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(building, "made_with", lambda: {"mitsuba": "2.0"})

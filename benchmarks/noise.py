@@ -1,0 +1,152 @@
+"""Processor time to half the sensor's noise, against a pass of as many samples in every pixel, and against Mitsuba's `path`.
+
+Noise of light paths is the scatter of the finest fringe's linear phase between seeds, over the label's lit pixels, root mean
+square. What it is compared with falls as 1 / sqrt(n), so its time to the same noise is
+
+    t = time of n samples x (noise of n samples / noise reached)^2
+
+`path` renders one frame at a time with multijitter, all frames with one seed, as a careful user would.
+"""
+
+import time
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+import render
+import scenes
+from benchmarks.light import Path, seeds
+from benchmarks.result import Result, Target, main
+from render.fringe_phasor import finest_fringes
+
+
+class Case(NamedTuple):
+    """What is traced to which share of the sensor's noise, and what it must win."""
+
+    scene: str
+    labels: tuple[str, ...]
+    """Those of interest; none: all."""
+    render_noise: float
+    """Grains would take minutes to 0.5; what the ratio is does not depend on it."""
+    samples: int
+    """Of the plain pass and of `path`."""
+    statistic: str
+    rival: str
+    """The one that the target is about."""
+    least: float
+    """How many times faster it must be."""
+
+
+PLAIN, PATH = "a pass of given samples", "path, multijitter"
+RMS, P95 = "RMS", "95th percentile"
+CASES = (
+    Case("spi", ("paste",), 0.5, 16, RMS, PLAIN, 10.0),
+    Case("spi", (), 0.5, 16, RMS, PLAIN, 4.5),
+    Case("solder-grains", ("type-3", "type-4", "type-5"), 2.0, 32, RMS, PLAIN, 2.5),
+    Case("bench", (), 0.5, 64, P95, PATH, 60.0),
+)
+STEPS = 4
+
+Image = NDArray[np.complex128]
+Made = TypeVar("Made")
+
+
+def measure(quick: bool) -> list[Result]:
+    """Processor time to the target, of the tracer and of what it is compared with."""
+    return [row for case in CASES for row in _case(case, quick)]
+
+
+def _case(case: Case, quick: bool) -> list[Result]:
+    size = scenes.load(case.scene).camera.resolution
+    noise_wanted = case.render_noise * (4.0 if quick else 1.0)
+    changes: dict[str, object] = {"sampling.render_noise": noise_wanted}
+    if quick:
+        changes["camera.resolution"] = [n // 4 for n in size]
+    if case.labels:
+        changes["sampling.labels"] = list(case.labels)
+    scene = scenes.load(case.scene, changes)
+    surfaces = render.surfaces(scene)
+    draw = seeds(11)
+    # Kernels are made before the clock starts.
+    render.trace(scene, seed=draw(), samples=1, surfaces=surfaces)
+    render.trace(scene, seed=draw(), render_noise=50.0, surfaces=surfaces)
+    ours, reached = _timed(lambda: render.trace(scene, seed=draw(), surfaces=surfaces))
+    plain, light = _timed(
+        lambda: render.trace(scene, seed=draw(), samples=case.samples, surfaces=surfaces)
+    )
+    judged = _lit(reached[0], case.labels)
+    noise = _noise([_phasor(t) for t in reached], judged, case.statistic)
+    path = Path(scene, "multijitter", STEPS)
+    path_s, shown = _timed(lambda: _frames(path, case.samples, draw()))
+    rivals = (
+        (PLAIN, plain, [_phasor(t) for t in light]),
+        (PATH, path_s * len(scene.patterns.frames()) / STEPS, shown),
+    )
+    what = f"{case.scene}: {', '.join(case.labels) or 'all labels'}"
+    said = reached[0].render_noise
+    assert said is not None
+    ratios = ", ".join(f"{k} {v:.2f}" for k, v in said.reached.items() if v is not None)
+    rows = []
+    for rival, seconds, pair in rivals:
+        theirs = _noise(pair, judged, case.statistic)
+        longer = seconds * (theirs / noise) ** 2
+        rows.append(
+            Result(
+                f"{what}, against {rival}",
+                ours,
+                "s of processor",
+                baseline=f"{rival}, to the same noise",
+                baseline_value=longer,
+                ratio=longer / ours,
+                reads="x faster",
+                target=Target("ratio", "at least", case.least) if rival == case.rival else None,
+                note=f"{scene.camera.resolution[0]} x {scene.camera.resolution[1]}: {1e3 * noise:.2f} mrad "
+                f"({case.statistic}), times the sensor's: {ratios}; {rival}, {case.samples} samples: {1e3 * theirs:.2f} mrad "
+                f"in {seconds:.1f} s",
+            )
+        )
+    return rows
+
+
+def _timed(make: Callable[[], Made]) -> tuple[float, list[Made]]:
+    """Processor seconds of one, and two of them."""
+    start = time.process_time()
+    made = [make() for _ in range(2)]
+    return (time.process_time() - start) / 2.0, made
+
+
+def _phasor(light: render.Transport) -> Image:
+    """(row, col) of the first projector's finest fringe."""
+    fringe = finest_fringes(light.scene.patterns, light.bases)[0]
+    cosine, sine = fringe.phasor(light.total[0, : len(light.bases[0].channels)], 0)
+    return np.asarray(cosine + 1j * sine)
+
+
+def _frames(path: Path, samples: int, seed: int) -> Image:
+    frames = [path.render(k, samples, seed).astype(np.float64) for k in range(STEPS)]
+    return np.asarray((frames[0] - frames[2] + 1j * (frames[3] - frames[1])) / 2.0, np.complex128)
+
+
+def _lit(light: render.Transport, labels: tuple[str, ...]) -> NDArray[np.bool_]:
+    truth = render.truth(light.scene, light)
+    modulation = np.abs(_phasor(light))
+    lit = np.asarray(truth.lit & (modulation >= 0.1 * np.median(modulation[truth.lit])), np.bool_)
+    if labels:
+        lit &= np.any([truth.region(label) for label in labels], axis=0)
+    return lit
+
+
+def _noise(pair: list[Image], judged: NDArray[np.bool_], statistic: str) -> float:
+    """Noise of one's phase from the difference of two, rad."""
+    one, two = pair
+    mean = (one + two) / 2.0
+    off = ((one - two) * mean.conj()).imag[judged] / np.abs(mean[judged]) ** 2 / np.sqrt(2.0)
+    if statistic == P95:
+        return float(np.percentile(np.abs(off), 95.0))
+    return float(np.sqrt(np.mean(off**2)))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main("noise", __doc__, measure))

@@ -1,0 +1,1 @@
+"""Codings against indirect light, rewritten as ordinary fringes and Gray code."""

@@ -1,0 +1,1 @@
+"""From projector coordinates to heights."""

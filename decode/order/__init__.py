@@ -1,0 +1,1 @@
+"""Which period of the fringe each wrapped phase belongs to."""

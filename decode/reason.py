@@ -1,0 +1,34 @@
+"""Why a pixel is not to be trusted: one reason each, the first that applies in the order of `Reason`."""
+
+from enum import IntEnum
+
+
+class Reason(IntEnum):
+    """Codes of `Reconstruction.reason`."""
+
+    OK = 0
+    OUTSIDE_ROI = 1
+    """Not asked for."""
+    SATURATED = 2
+    """The fusion rule found no usable exposure."""
+    SHADOW = 3
+    """No fringe above the noise, or light that must be stray or comes from beyond a shadow's edge: see `decode.validity.shadow` and
+    `decode.validity.epipolar_order`."""
+    DARK = 4
+    """A fringe, but of too little modulation."""
+    ORDER_MISMATCH = 5
+    """The periods disagree about the fringe order."""
+    NO_HEIGHT = 6
+    """The height model has no answer here: an invalid reference pixel, a ray that misses."""
+    OUT_OF_VOLUME = 7
+    """Height outside the working volume."""
+    NOT_A_NUMBER = 8
+    """Samples are NaN or infinite."""
+    ORDER_UNKNOWN = 9
+    """The fringe order is known only up to whole turns, so the height may be off by whole fringes: nothing measured fixes
+    it, and `reconstruct` was not asked to scan (``unwrap``, or ``anchor="spatial"``)."""
+
+    @property
+    def label(self) -> str:
+        """The name as text: order-mismatch."""
+        return self.name.lower().replace("_", "-")

@@ -1,0 +1,1 @@
+"""Is a decoder worse than its baseline? Statistics of repeated captures."""

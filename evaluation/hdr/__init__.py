@@ -1,0 +1,1 @@
+"""Strategies for scenes of high dynamic range, compared."""

@@ -1,0 +1,1 @@
+"""Solder paste inspection: pads measured, judged, and the gauge studied."""

@@ -1,0 +1,136 @@
+"""Pictures of a capture: the scene as the camera sees it, sample frames, phases, and reasons for rejected pixels."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from decode import Reason, Reconstruction
+from evaluation.output.plots import map_axes, map_figure
+from evaluation.output.sheet import CLIPPED, Panel, contact_sheet, gray_limits
+from scenes.files.stack import Stack
+from scenes.files.truth_maps import Truth
+
+# Valid is light gray; the reasons have Okabe and Ito's colours.
+VALID = "#e8e8e8"
+REASON_COLOURS = (
+    "#000000",
+    "#D55E00",
+    "#0072B2",
+    "#E69F00",
+    "#CC79A7",
+    "#009E73",
+    "#56B4E9",
+    "#F0E442",
+)
+# Maximum number of exposures shown.
+FRAMES_SHOWN = 6
+
+
+def scene_picture(stack: Stack, truth: Truth) -> Figure:
+    """The scene under even light, from the brightest unsaturated exposure of each pixel, with outlined labels.
+
+    Brightness is logarithmic: black ink and a solder highlight differ a thousandfold.
+    """
+    light = _radiance(stack)
+    known = light[np.isfinite(light) & (light > 0)]
+    floor = np.percentile(known, 1) if known.size else 1.0
+    shown = np.log10(np.maximum(light, floor))
+    figure = map_figure(shown, "The scene from the camera", "log₁₀ (DN / ms)", cmap="gray")
+    axes = figure.axes[0]
+    for index, label in enumerate(truth.labels):
+        mask = truth.label == index + 1
+        if not mask.any() or mask.all():
+            continue
+        if label != "base":
+            axes.contour(mask, levels=[0.5], colors="#E69F00", linewidths=0.8)
+        row, col = _inside(mask)
+        axes.annotate(
+            label,
+            (col, row),
+            color="white",
+            ha="center",
+            va="center",
+            bbox={"boxstyle": "round,pad=0.2", "facecolor": "black", "alpha": 0.6, "linewidth": 0},
+        )
+    return figure
+
+
+def frames_picture(stack: Stack) -> Figure:
+    """The first frame of every exposure, in DN on one scale; saturated pixels are orange."""
+    shown = list(range(len(stack.exposure_ms)))[:FRAMES_SHOWN]
+    limits = gray_limits(stack)
+    panels = [
+        Panel(
+            f"{stack.exposure_ms[k]:.3g} ms, {100 * float((stack.frames[k, 0] >= stack.saturation_dn).mean()):.1f} % saturated",
+            stack.frames[k, 0],
+            "DN",
+            CLIPPED,
+            limits,
+        )
+        for k in shown
+    ]
+    return contact_sheet(panels, columns=min(3, len(panels)), thumb_px=400)
+
+
+def phase_figures(rec: Reconstruction) -> Mapping[str, Figure]:
+    """Wrapped and absolute phase of the measuring axis, rejected pixels left out."""
+    absolute = np.where(rec.valid, rec.phase_rad, np.nan)
+    return {
+        "wrapped": map_figure(
+            rec.wrapped_rad, "Wrapped phase", "rad", limits=(-np.pi, np.pi), cmap="twilight"
+        ),
+        "absolute": map_figure(absolute, "Absolute phase", "rad"),
+    }
+
+
+def reason_map(rec: Reconstruction) -> Figure:
+    """Map of the reason why each pixel was rejected; the legend gives each reason's share."""
+    shares = rec.reason_fractions()
+    present = [reason for reason in Reason if (rec.reason == reason).any()]
+    colours = [
+        VALID if r is Reason.OK else REASON_COLOURS[int(r) % len(REASON_COLOURS)] for r in present
+    ]
+    index = np.searchsorted([int(r) for r in present], rec.reason)
+    figure, axes = map_axes((rec.reason.shape[0], rec.reason.shape[1]), right=2.3)
+    norm = BoundaryNorm(np.arange(len(present) + 1) - 0.5, len(present))
+    axes.imshow(index, cmap=ListedColormap(colours), norm=norm, interpolation="nearest")
+    axes.set(
+        title="Valid pixels, and why others were rejected", xlabel="column (px)", ylabel="row (px)"
+    )
+    handles = [axes.scatter([], [], marker="s", s=60, color=c, edgecolors="gray") for c in colours]
+    names = [f"{r.label}: {100 * shares.get(r.label, 0.0):.2f} %" for r in present]
+    axes.legend(
+        handles,
+        names,
+        loc="upper left",
+        bbox_to_anchor=(1.02, 1.0),
+        borderaxespad=0,
+        fontsize="small",
+    )
+    return figure
+
+
+def _radiance(stack: Stack) -> NDArray[np.float64]:
+    """Mean over the frames of each pixel's brightest unsaturated exposure (else its shortest), in DN per ms."""
+    order = np.argsort(stack.exposure_ms)
+    light: NDArray[np.float64] | None = None
+    for k in order:
+        frames = stack.frames[k]
+        here = (
+            frames.mean(axis=0, dtype=np.float64) - stack.sensor.black_level_dn
+        ) / stack.exposure_ms[k]
+        good = frames.max(axis=0) < stack.saturation_dn
+        light = here if light is None else np.where(good, here, light)
+    assert light is not None
+    return light
+
+
+def _inside(mask: NDArray[np.bool_]) -> tuple[float, float]:
+    """A (row, col) well inside the mask: the pixel farthest from its border."""
+    depth = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
+    row, col = np.unravel_index(int(np.argmax(depth)), mask.shape)
+    return float(row), float(col)

@@ -1,0 +1,1 @@
+"""Reconstructions against truth: regions, features, acceptance bodies, error budgets."""

@@ -1,0 +1,172 @@
+"""Error budget: how much each cause contributes, by switching causes off and on one at a time.
+
+Mean square errors of independent causes add. The rest is their interaction, which is reported: one cause may amplify another
+(noise matters more where blur reduces the contrast), or mask it.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.support.errors import ScoreError
+
+Floats = NDArray[np.float64]
+RENDER_NOISE = "render-noise"
+Mask = NDArray[np.bool_]
+Causes = frozenset[str]
+"""Which causes are switched on."""
+
+
+@dataclass(frozen=True)
+class CauseShare:
+    """What one cause does in one region."""
+
+    alone_mm2: float | None
+    """Mean square error with only this cause on, minus that with none."""
+    removed_mm2: float | None
+    """Mean square error with all causes on, minus that of all but this one; negative where the cause reduces the error."""
+    bias_alone_mm: float | None
+    bias_removed_mm: float | None
+    """Change of the mean error, likewise."""
+    coverage_alone: float
+    """Change of the share of measured pixels, likewise: a cause may cost pixels instead of accuracy."""
+    coverage_removed: float
+
+
+@dataclass(frozen=True)
+class RegionBudget:
+    """One region; None where no pixel is measured in every variant."""
+
+    pixels: int
+    common_pixels: int
+    """Pixels measured in every variant; errors are over these, so that all variants are compared at the same places."""
+    coverage: float
+    """Share of the region measured with everything on."""
+    total_mm2: float | None
+    """Mean square error with everything on."""
+    ideal_mm2: float | None
+    """With everything off: the method's own error."""
+    interaction_mm2: float | None
+    """``total - ideal - sum of the causes alone``."""
+    causes: Mapping[str, CauseShare]
+
+
+@dataclass(frozen=True)
+class ErrorBudget:
+    """An error budget: in each region, the ideal error, the causes and the interaction add up to the total."""
+
+    scene: str
+    causes: tuple[str, ...]
+    absent: tuple[str, ...]
+    """Causes that this scene does not have."""
+    regions: Mapping[str, RegionBudget]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        return asdict(self)
+
+
+def variants(causes: Sequence[str]) -> list[Causes]:
+    """Combinations of causes that a budget needs: all on, none on, each one off, each one on; each once.
+
+    >>> [sorted(v) for v in variants(["blur", "noise"])]
+    [['blur', 'noise'], [], ['noise'], ['blur']]
+    """
+    every = frozenset(causes)
+    found = [every, frozenset(), *(every - {c} for c in causes), *(frozenset({c}) for c in causes)]
+    return list(dict.fromkeys(found))
+
+
+def budget(
+    scene: str,
+    causes: Sequence[str],
+    errors: Mapping[Causes, Floats],
+    regions: Mapping[str, Mask],
+    absent: Sequence[str] = (),
+    render_noise_mm: NDArray[np.float32] | None = None,
+) -> ErrorBudget:
+    """Compute the error budget from errors (repeat, row, col) in mm of all `variants`, NaN where not measured.
+
+    `render_noise_mm` is the standard deviation of height from the noise of light paths, (row, col). It cannot be
+    switched off, but it is known: it becomes a cause of its own, and is taken out of interreflection, whose paths it
+    comes from. Raises `ScoreError` if a variant is missing.
+    """
+    missing = [sorted(v) for v in variants(causes) if v not in errors]
+    if missing:
+        raise ScoreError(f"errors of the variants {missing} are missing: a budget needs them all")
+    common = np.logical_and.reduce([np.isfinite(e).all(axis=0) for e in errors.values()])
+    found = {
+        name: _region(causes, errors, region, common & region) for name, region in regions.items()
+    }
+    if render_noise_mm is None:
+        return ErrorBudget(scene, tuple(causes), (*absent, RENDER_NOISE), found)
+    known = common & np.isfinite(render_noise_mm)
+    found = {
+        name: _with_render_noise(one, render_noise_mm[known & regions[name]])
+        for name, one in found.items()
+    }
+    return ErrorBudget(scene, (*causes, RENDER_NOISE), tuple(absent), found)
+
+
+def _with_render_noise(region: RegionBudget, noise_mm: NDArray[np.float32]) -> RegionBudget:
+    """The region with render noise of its own, taken out of interreflection, or of what is ideal without that."""
+    if not noise_mm.size or region.ideal_mm2 is None:
+        nothing = CauseShare(None, None, None, None, 0.0, 0.0)
+        return replace(region, causes={**region.causes, RENDER_NOISE: nothing})
+    square = float(np.mean(noise_mm.astype(np.float64) ** 2))
+    causes, ideal = dict(region.causes), region.ideal_mm2
+    host = causes.get("interreflection")
+    if host is not None and host.alone_mm2 is not None and host.removed_mm2 is not None:
+        alone, removed = host.alone_mm2 - square, host.removed_mm2 - square
+        causes["interreflection"] = replace(host, alone_mm2=alone, removed_mm2=removed)
+    else:
+        ideal -= square
+    causes[RENDER_NOISE] = CauseShare(square, square, 0.0, 0.0, 0.0, 0.0)
+    return replace(region, ideal_mm2=ideal, causes=causes)
+
+
+def _region(
+    causes: Sequence[str], errors: Mapping[Causes, Floats], region: Mask, common: Mask
+) -> RegionBudget:
+    every: Causes = frozenset(causes)
+    none: Causes = frozenset()
+    covered = {
+        v: float(np.isfinite(e[:, region]).mean()) if region.any() else 0.0
+        for v, e in errors.items()
+    }
+    square: dict[Causes, float] | None = None
+    bias: dict[Causes, float] | None = None
+    if common.any():
+        square = {v: float(np.mean(e[:, common] ** 2)) for v, e in errors.items()}
+        bias = {v: float(np.mean(e[:, common])) for v, e in errors.items()}
+
+    def change(of: dict[Causes, float] | None, on: Causes, off: Causes) -> float | None:
+        return None if of is None else of[on] - of[off]
+
+    shares = {
+        cause: CauseShare(
+            change(square, frozenset({cause}), none),
+            change(square, every, every - {cause}),
+            change(bias, frozenset({cause}), none),
+            change(bias, every, every - {cause}),
+            covered[frozenset({cause})] - covered[none],
+            covered[every] - covered[every - {cause}],
+        )
+        for cause in causes
+    }
+    interaction = None
+    if square is not None:
+        alone = sum(square[frozenset({cause})] - square[none] for cause in causes)
+        interaction = square[every] - square[none] - alone
+    return RegionBudget(
+        int(region.sum()),
+        int(common.sum()),
+        covered[every],
+        None if square is None else square[every],
+        None if square is None else square[none],
+        interaction,
+        shares,
+    )

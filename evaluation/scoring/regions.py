@@ -1,0 +1,369 @@
+"""A reconstruction compared with the truth, region by region.
+
+Heights are compared pixel by pixel, ``error = measured - true``, along the camera's own rays; nothing is aligned first.
+"""
+
+import json
+import warnings
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from decode import Reconstruction
+from evaluation.scoring.feature_fits import Feature, features
+from evaluation.scoring.identity import differing_parts, other_unit
+from scenes.files.truth_maps import Truth
+from scenes.support.atomic_file import replacing
+from scenes.support.errors import FringebenchWarning, ScoreError
+from scenes.support.notebook import Displayed
+from scenes.support.safe_parse import parse_toml
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# Gaussian noise exceeds five standard deviations in 6 of 10 million pixels: an error beyond is not noise.
+OUTLIER_SIGMAS = 5.0
+
+
+@dataclass(frozen=True)
+class RegionScore:
+    """Figures of one label; None where no pixel gives them. Statistics are over the region's measured pixels."""
+
+    pixels: int
+    """The label's lit pixels (see `scored`)."""
+    coverage: float | None
+    """Fraction of them measured: valid, with a finite height."""
+    bias_mm: float | None
+    """Mean error."""
+    rms_mm: float | None
+    """Root mean square error; ``rms^2 = bias^2 + sd^2``."""
+    sd_mm: float | None
+    """Standard deviation of the error about its mean."""
+    median_abs_mm: float | None
+    """Median of the absolute error."""
+    p95_abs_mm: float | None
+    """95th percentile of the absolute error."""
+    max_abs_mm: float | None
+    """Largest absolute error."""
+    outlier_fraction: float | None
+    """Fraction of measured pixels whose error their own predicted noise does not explain (see `score`)."""
+    flagged_fraction: float | None
+    """Fraction of the lit pixels that the decoder itself rejected."""
+    predicted_sd_mm: float | None
+    """Root mean square of the decoder's predicted standard deviations."""
+    render_to_sensor_noise: float | None = None
+    """Root mean square of the height noise of light paths over `predicted_sd_mm`, over the same pixels; None: not known."""
+
+
+@dataclass(frozen=True)
+class UnlitScore:
+    """Pixels that see the scene but that no projector lights: nothing can be measured there."""
+
+    pixels: int
+    valid: int
+    """How many of them the decoder declares valid."""
+
+
+@dataclass(frozen=True, repr=False)
+class Score(Displayed):
+    """How well a scene was measured: the content of ``scores.json``."""
+
+    scene: str
+    """Name of the scene."""
+    regions: Mapping[str, RegionScore]
+    features: Mapping[str, Feature]
+    unlit: UnlitScore
+    light: Mapping[str, Any] | None = None
+    """Render noise reached, where a limit was asked for."""
+    forced: tuple[str, ...] = ()
+    """Parts of the scene in which reconstruction and truth differ, where they were scored by force."""
+
+    def _facts(self) -> dict[str, str]:
+        def of(value: float | None) -> str:
+            return "-" if value is None else f"{1e3 * value:.3g}"
+
+        return {"scene": self.scene} | {
+            label: f"RMS {of(region.rms_mm)} µm, predicted {of(region.predicted_sd_mm)} µm"
+            for label, region in self.regions.items()
+        }
+
+    def plot(self, small: bool = False) -> "Figure":
+        """Draw measured and predicted error of each region; `small`: a smaller figure."""
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(4.5, 3.0) if small else (7.0, 4.0), layout="constrained")
+        axes = figure.subplots()
+        at = np.arange(len(self.regions))
+        for offset, name, label in ((-0.2, "rms_mm", "RMS"), (0.2, "predicted_sd_mm", "predicted")):
+            values = [getattr(region, name) for region in self.regions.values()]
+            heights = [np.nan if value is None else 1e3 * value for value in values]
+            axes.bar(at + offset, heights, 0.4, label=label)
+        axes.set_xticks(at, list(self.regions), fontsize=8)
+        axes.set_ylabel("height error (µm)")
+        axes.legend()
+        return figure
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data with None where there is no figure; always valid JSON."""
+        light = {} if self.light is None else {"light": dict(self.light)}
+        return {
+            "scene": self.scene,
+            "regions": {label: asdict(region) for label, region in self.regions.items()},
+            "features": {name: asdict(feature) for name, feature in self.features.items()},
+            "unlit": asdict(self.unlit),
+            **light,
+            **({"forced": list(self.forced)} if self.forced else {}),
+        }
+
+    def write(self, path: str | Path) -> None:
+        """Write as JSON, atomically; raises `FileError`."""
+        text = json.dumps(self.to_dict(), indent=2, allow_nan=False)
+        with replacing(path) as temporary:
+            temporary.write_text(text + "\n", "utf-8")
+
+
+def score(
+    rec: Reconstruction,
+    truth: Truth,
+    *,
+    margin_px: int = 0,
+    outlier_sigmas: float = OUTLIER_SIGMAS,
+    outlier_mm: float | None = None,
+    force: bool = False,
+) -> Score:
+    """Score a reconstruction against the truth of the same camera, for every label of the scene.
+
+    Parameters
+    ----------
+    rec
+        The reconstruction, with heights in mm.
+    truth
+        Truth of the same scene and resolution.
+    margin_px
+        Narrows every region by that many pixels, see `scored`.
+    outlier_sigmas
+        A measured pixel is an outlier when its error exceeds this many of its own predicted sigmas; pixels without a
+        finite sigma count neither way.
+    outlier_mm
+        If given, a pixel is an outlier when its error exceeds this length instead: the same limit for decoders that
+        predict different sigmas.
+    force
+        Score a reconstruction of another scene or rig all the same; the score says so.
+
+    Returns
+    -------
+    Score
+        Figures by label, features (see `evaluation.scoring.feature_fits`), and unlit pixels declared valid.
+
+    Raises
+    ------
+    ScoreError
+        When the scene or rig of the two or their sizes differ, there are no heights, or a parameter is out of range.
+
+    Warns
+    -----
+    FringebenchWarning
+        When the heights seem to be in metres, inches or micrometres.
+
+    Examples
+    --------
+    >>> from decode import Reconstruction
+    >>> height = np.zeros((4, 6), np.float32)
+    >>> xyz = np.zeros((4, 6, 3), np.float32)
+    >>> one = np.ones((1, 4, 6), np.float32)
+    >>> label = np.ones((4, 6), np.uint16)
+    >>> truth = Truth(xyz, xyz + [0, 0, 1], label, ("base",), one > 0, one, one, one, 'name = "flat"')
+    >>> score(Reconstruction.of_heights(height + 0.5), truth).regions["base"].bias_mm
+    0.5
+    """
+    parts = differing_parts(rec, truth)
+    if parts and not force:
+        raise ScoreError(
+            f"the reconstruction and the truth are of different scenes: they differ in {', '.join(parts)}; give the truth of "
+            "the same scene (render --truth), or --force"
+        )
+    regions = region_scores(
+        rec, truth, margin_px=margin_px, outlier_sigmas=outlier_sigmas, outlier_mm=outlier_mm
+    )
+    measured = np.where(rec.valid, rec.height_mm, np.nan)
+    unlit = ~truth.lit & np.isfinite(truth.height_mm)
+    shade = UnlitScore(int(unlit.sum()), int((unlit & rec.valid).sum()))
+    unit = other_unit(measured, truth.height_mm)
+    if unit:
+        warnings.warn(
+            f"the heights seem to be in {unit}: they are scored as millimetres; convert them, or the calibration",
+            FringebenchWarning,
+            stacklevel=2,
+        )
+    return Score(_name(truth), regions, features(measured, truth), shade, forced=parts)
+
+
+def region_scores(
+    rec: Reconstruction,
+    truth: Truth,
+    *,
+    margin_px: int = 0,
+    outlier_sigmas: float = OUTLIER_SIGMAS,
+    outlier_mm: float | None = None,
+) -> dict[str, RegionScore]:
+    """Score the regions alone, without features, whose fits take longer than all the rest.
+
+    Parameters
+    ----------
+    rec, truth, margin_px, outlier_sigmas, outlier_mm
+        As for `score`.
+
+    Returns
+    -------
+    dict of str to RegionScore
+        Figures by label.
+
+    Raises
+    ------
+    ScoreError
+        As `score`.
+    """
+    if outlier_sigmas <= 0 or (outlier_mm is not None and outlier_mm <= 0):
+        raise ScoreError(
+            f"outlier_sigmas = {outlier_sigmas}, outlier_mm = {outlier_mm}: both must be above 0"
+        )
+    error = height_error_mm(rec, truth)
+    sigma = rec.sigma_mm.astype(np.float64)
+    if outlier_mm is None:
+        limit = np.where(np.isfinite(sigma), outlier_sigmas * sigma, np.nan)
+    else:
+        limit = np.full(error.shape, outlier_mm)
+    noise = truth.render_noise_mm
+    if noise is None:
+        noise = np.full(error.shape, np.nan, np.float32)
+    regions = {}
+    for label in truth.labels:
+        mask = scored(truth, label, margin_px)
+        regions[label] = _region(
+            error[mask], sigma[mask], limit[mask], ~rec.valid[mask], noise[mask]
+        )
+    return regions
+
+
+def scored(truth: Truth, label: str, margin_px: int = 0) -> NDArray[np.bool_]:
+    """Pixels that a label is scored on: those whose centre sees it and that a projector lights.
+
+    Parameters
+    ----------
+    truth
+        The truth.
+    label
+        One of its labels.
+    margin_px
+        Also leaves out pixels this close (in rows and columns) to another label, to the background or to shadow. 0 keeps
+        them: they are what a camera sees, and a paste grain consists of edges only. 1 removes the pixels that an edge can
+        cross, where the light of two heights is mixed; defocus needs more.
+
+    Returns
+    -------
+    ndarray of bool, (row, col)
+        Shadow is no failure of a decoder, so unlit pixels are left out; `Score.unlit` counts those that a decoder measures
+        all the same.
+
+    Raises
+    ------
+    ScoreError
+        For an unknown label or a negative margin.
+    """
+    if margin_px < 0:
+        raise ScoreError(f"margin_px = {margin_px}: needs 0 or more")
+    mask = truth.region(label) & truth.lit & np.isfinite(truth.height_mm)
+    if margin_px:
+        # The image's frame is no edge of the region: border_value keeps its pixels.
+        mask = ndimage.binary_erosion(
+            mask, np.ones((3, 3), np.bool_), iterations=margin_px, border_value=1
+        )
+    return np.asarray(mask, dtype=np.bool_)
+
+
+def height_error_mm(rec: Reconstruction, truth: Truth) -> NDArray[np.float64]:
+    """Measured minus true height of every pixel.
+
+    Parameters
+    ----------
+    rec
+        The reconstruction, with heights in mm.
+    truth
+        Truth of the same scene and resolution.
+
+    Returns
+    -------
+    ndarray of float64, (row, col)
+        Error in mm, along the camera's rays; NaN where a pixel is not valid or has no truth.
+
+    Raises
+    ------
+    ScoreError
+        When the sizes differ, or for phases without heights.
+    """
+    if rec.height_mm.shape != truth.height_mm.shape:
+        (rows, cols), (true_rows, true_cols) = rec.height_mm.shape, truth.height_mm.shape
+        raise ScoreError(
+            f"the reconstruction has {cols} x {rows} pixels, the truth {true_cols} x {true_rows}: "
+            "score a reconstruction against the truth of the same scene and resolution"
+        )
+    if not np.isfinite(rec.height_mm).any():
+        raise ScoreError(
+            "the reconstruction has no height at all, only phases: decode with a calibration, or with c_px_per_mm"
+        )
+    measured = np.where(rec.valid, rec.height_mm, np.nan).astype(np.float64)
+    return measured - truth.height_mm
+
+
+def _region(
+    error: NDArray[np.float64],
+    sigma: NDArray[np.float64],
+    limit: NDArray[np.float64],
+    flagged: NDArray[np.bool_],
+    render_noise: NDArray[np.float32],
+) -> RegionScore:
+    """Figures of one region from its pixels (pixel,): errors, sigmas, outlier limits, whether they are rejected, and the
+    height noise of light paths in mm."""
+    measured = np.isfinite(error)
+    judged = measured & np.isfinite(limit)
+    predicted = sigma[measured & np.isfinite(sigma)]
+    figures: dict[str, Any] = dict.fromkeys(field.name for field in fields(RegionScore))
+    figures["pixels"] = error.size
+    if error.size:
+        figures["coverage"] = float(measured.mean())
+        figures["flagged_fraction"] = float(flagged.mean())
+    if measured.any():
+        e = error[measured]
+        absolute = np.abs(e)
+        figures |= {
+            "bias_mm": float(e.mean()),
+            "rms_mm": float(np.sqrt(np.mean(e**2))),
+            "sd_mm": float(e.std()),
+            "median_abs_mm": float(np.median(absolute)),
+            "p95_abs_mm": float(np.percentile(absolute, 95)),
+            "max_abs_mm": float(absolute.max()),
+        }
+    if judged.any():
+        figures["outlier_fraction"] = float((np.abs(error) > limit)[judged].mean())
+    if predicted.size:
+        figures["predicted_sd_mm"] = float(np.sqrt(np.mean(predicted**2)))
+    both = measured & np.isfinite(sigma) & np.isfinite(render_noise)
+    if both.any() and (sensor := float(np.mean(sigma[both] ** 2))) > 0.0:
+        ratio = np.sqrt(np.mean(render_noise[both].astype(np.float64) ** 2) / sensor)
+        figures["render_to_sensor_noise"] = float(ratio)
+    return RegionScore(**figures)
+
+
+def _name(truth: Truth) -> str:
+    """Name of the scene, from the TOML in the truth; empty where there is none."""
+    try:
+        return str(parse_toml(truth.scene).get("name", ""))
+    except ValueError as error:
+        raise ScoreError(
+            f"the truth's scene is not valid TOML ({error}): make the truth again from its scene"
+        ) from error

@@ -1,0 +1,171 @@
+"""The commands that let real captures in: import, stereo."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from fringebench.cli.outputs import check_outputs
+from fringebench.cli.shared_options import AsJson, Fusion, ShowProgress
+from fringebench.cli.terminal import answer_console, print_json, progress_steps, say
+from fringebench.progress import Mode
+
+if TYPE_CHECKING:
+    from scenes import Stack
+
+app = typer.Typer()
+
+STYLES = {"ok": "green", "warning": "yellow", "wrong": "bold red", "unknown": "dim"}
+
+
+@app.command("import", epilog="Example: fringebench import capture.toml -o stack.exr")
+def import_capture(
+    manifest: Annotated[
+        Path, typer.Argument(help="A manifest TOML: which image shows what (see docs/import.md).")
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Stack file.")] = Path("stack.exr"),
+    check: Annotated[
+        bool,
+        typer.Option("--check", help="Only check linearity, order and periods; write nothing."),
+    ] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Write the stack although checks say it is wrong.")
+    ] = False,
+    equalise: Annotated[
+        bool,
+        typer.Option(
+            "--equalise", help="Divide out a source that flickers or drifts between frames."
+        ),
+    ] = False,
+    progress: ShowProgress = Mode.AUTO,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the checks and the stack's data as JSON.")
+    ] = False,
+) -> None:
+    """Turn image files and a calibration into a stack, after checking that they are what the manifest says.
+
+    What the images contradict (frames exchanged, a wrong period, another camera's calibration) is refused with the reason.
+    With --check the exit status is 1 if a check says wrong.
+    """
+    from decode.checks import flicker, stack_check
+    from decode.phase.gamma import response
+    from scenes.files.capture import Capture
+
+    steps = progress_steps(progress)
+    if not check:
+        check_outputs({"-o": output}, [manifest])
+    capture = Capture.load(manifest)
+    with steps.step("read images"):
+        imported = capture.imported()
+    stack = imported.stack
+    if equalise:
+        with steps.step("equalise"):
+            stack = flicker.equalise(stack)
+    if capture.gamma is None:
+        stack = replace(stack, gamma=response(stack))
+    with steps.step("check"):
+        found = stack_check.check(stack, capture.projector_resolution)
+    report = stack_check.CheckReport((*imported.findings, *found.findings))
+    if as_json:
+        written = None if check or (report.wrong and not force) else str(output)
+        print_json({"stack": written, **_described(stack), **report.to_dict()})
+    else:
+        table = Table("check", "", "what was found", title=escape(str(manifest)))
+        for finding in report.findings:
+            style = STYLES[finding.verdict]
+            verdict = f"[{style}]{finding.verdict}[/]"
+            table.add_row(escape(finding.name), verdict, escape(finding.message))
+        answer_console().print(table)
+    if check:
+        raise typer.Exit(1 if report.wrong else 0)
+    if not force:
+        report.raise_if_wrong()
+    with steps.step("write"):
+        stack.write(output)
+    if not as_json:
+        exposures, frames, rows, columns = stack.frames.shape
+        rig = "calibrated" if stack.calibration else "not calibrated"
+        say(f"{output}: {exposures} exposures, {frames} frames, {columns} x {rows} px, {rig}")
+
+
+def _described(stack: "Stack") -> dict[str, Any]:
+    """What was read, in JSON's types."""
+    _, frames, rows, columns = stack.frames.shape
+    return {
+        "exposures_ms": list(stack.exposure_ms),
+        "frames": frames,
+        "camera_resolution": [columns, rows],
+        "projector_resolution": stack.projector_size(),
+        "calibrated": stack.calibration is not None,
+        "dtype": str(stack.frames.dtype),
+        "saturation_dn": stack.saturation_dn,
+        "gamma": stack.gamma,
+        "sensor": stack.sensor.model_dump(mode="json"),
+    }
+
+
+@app.command(epilog="Example: fringebench stereo left.exr right.exr stereo.yml --depth-mm 400 900")
+def stereo(
+    left: Annotated[Path, typer.Argument(help="Stack EXR of the first camera.")],
+    right: Annotated[Path, typer.Argument(help="Stack EXR of the second camera.")],
+    calibration: Annotated[
+        list[Path], typer.Argument(help="OpenCV calibration of the pair: one file or several.")
+    ],
+    depth_mm: Annotated[
+        tuple[float, float],
+        typer.Option(metavar="NEAR FAR", help="Depths to search in front of the first camera."),
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Reconstruction file.")] = Path(
+        "reconstruction.exr"
+    ),
+    mm_per_unit: Annotated[
+        float | None, typer.Option(help="Millimetres per unit of the calibration: 1000 for metres.")
+    ] = None,
+    fusion: Fusion = "max-modulation",
+    names: Annotated[
+        list[str],
+        typer.Option(
+            "--name",
+            metavar="PART=ENTRY",
+            help="What the files call a part, e.g. second_distortion=D2; may be repeated.",
+        ),
+    ] = [],  # noqa: B006
+    roi: Annotated[
+        tuple[int, int, int, int] | None,
+        typer.Option(metavar="ROW0 ROW1 COL0 COL1", help="Only this region of the first camera."),
+    ] = None,
+    progress: ShowProgress = Mode.AUTO,
+    as_json: AsJson = False,
+) -> None:
+    """Heights from two cameras that saw the same patterns; the projector needs no calibration."""
+    check_outputs({"-o": output}, [left, right, *calibration])
+    import scenes
+    from decode.stereo_phase import stereo as match
+    from scenes.rig.opencv_calibration import Source
+    from scenes.support.errors import FileError
+
+    entries = dict(name.split("=", 1) for name in names if "=" in name)
+    if wrong := [name for name in names if "=" not in name]:
+        raise FileError(f"--name {wrong[0]}: give PART=ENTRY, e.g. second_distortion=D2")
+    stacks = [scenes.Stack.read(path) for path in (left, right)]
+    pair = Source(files=tuple(calibration), mm_per_unit=mm_per_unit, names=entries).pair()
+    cameras = pair.cameras(stacks[0].resolution, stacks[1].resolution)
+    with progress_steps(progress).step("match") as done:
+        rec = match(
+            stacks[0],
+            stacks[1],
+            cameras,
+            (-depth_mm[1], -depth_mm[0]),
+            fusion=fusion,
+            roi=roi,
+            progress=done,
+        )
+    rec.write(output)
+    if as_json:
+        found = {"reasons": rec.reason_fractions(), "settings": rec.settings}
+        print_json({"reconstruction": str(output)} | found)
+        return
+    say(f"{output}: {rec.reason_fractions()['ok']:.1%} of the pixels measured")

@@ -1,0 +1,240 @@
+"""Commands that judge decoders: regress, export, budget."""
+
+import re
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.markup import escape
+
+from fringebench.cli.outputs import check_outputs
+from fringebench.cli.overrides import parse_overrides
+from fringebench.cli.shared_options import (
+    AsJson,
+    Fusion,
+    PhaseError,
+    RenderNoise,
+    SceneName,
+    Seed,
+    Settings,
+    ShowProgress,
+    scene_names,
+)
+from fringebench.cli.terminal import answer_console, print_json, progress_steps, say
+from fringebench.progress import Mode
+
+if TYPE_CHECKING:
+    from fringebench.gate.regression_gate import Regression
+
+app = typer.Typer()
+
+Folder = Annotated[
+    Path | None, typer.Option("-o", "--output", help="Also write JSON and report.html here.")
+]
+
+
+@app.command(epilog="Example: fringebench regress my_package.decoder:decode --baseline mine.json")
+def regress(
+    decoder: Annotated[
+        str,
+        typer.Argument(
+            help="package.module:callable taking a Stack, or a command with {stack} or {manifest}, and {output}."
+        ),
+    ],
+    baseline: Annotated[
+        Path | None,
+        typer.Option(help="Baseline JSON; default: the one shipped, of decode:reconstruct."),
+    ] = None,
+    scene: Annotated[
+        list[str],
+        typer.Option(
+            "--scene",
+            metavar="FILE",
+            autocompletion=scene_names,
+            help="Judge on this scene instead of the shipped cases; may be repeated.",
+        ),
+    ] = [],  # noqa: B006
+    update: Annotated[
+        bool,
+        typer.Option("--update", help="Store the figures in --baseline, unless they got worse."),
+    ] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Store a baseline even if most regions are missing.")
+    ] = False,
+    seed: Annotated[int, typer.Option(help="First of 16 noise seeds in a row.", min=0)] = 0,
+    seeds: Annotated[
+        str | None,
+        typer.Option(metavar="LIST", help="Noise seeds, one decode each, instead: 0-31 or 3,7,11."),
+    ] = None,
+    timeout: Annotated[
+        float, typer.Option(help="Seconds the decoder may take for one stack.", min=0.1)
+    ] = 600.0,
+    cache: Annotated[
+        Path | None,
+        typer.Option(
+            help="Keep the cases' light in this folder between runs.", envvar="FRINGEBENCH_CACHE"
+        ),
+    ] = None,
+    output: Folder = None,
+    junit: Annotated[Path | None, typer.Option(help="Also write JUnit XML here.")] = None,
+    history: Annotated[
+        Path | None,
+        typer.Option(
+            help="Append this run to a history (one line of JSON a run); the page plots it."
+        ),
+    ] = None,
+    github: Annotated[
+        bool, typer.Option("--github", help="Also print annotations for GitHub Actions.")
+    ] = False,
+    progress: ShowProgress = Mode.AUTO,
+    as_json: AsJson = False,
+) -> None:
+    """Compare a decoder with a baseline: exit status 1 if errors, wrong orders, sigma or coverage got worse."""
+    from fringebench.gate.ci_formats import (
+        append_history,
+        github_annotations,
+        read_history,
+        write_junit,
+    )
+    from fringebench.gate.regression_gate import SEEDS
+    from fringebench.gate.regression_gate import regress as run
+
+    steps = progress_steps(progress)
+    folder = _prepared(output)
+    check_outputs(
+        {"--junit": junit, "--history": history, "--baseline": baseline if update else None},
+        [Path(name) for name in scene],
+    )
+    if history:
+        read_history(history)
+    result = run(
+        decoder,
+        baseline,
+        scenes=scene,
+        update=update,
+        force=force,
+        seeds=range(seed, seed + len(SEEDS)) if seeds is None else parse_seeds(seeds),
+        timeout_s=timeout,
+        cache=cache,
+        steps=steps,
+    )
+    runs = append_history(result, history) if history else []
+    if junit:
+        write_junit(result, junit)
+    if folder:
+        from fringebench.output_folder import write_json
+        from fringebench.pages.regress_page import regress_report
+
+        write_json(result.to_dict(), folder / "regress.json")
+        regress_report(result, steps.seconds, runs).write(folder / "report.html")
+    if github:
+        # Both streams are read for annotations; with --json the answer has standard output to itself.
+        stream = sys.stderr if as_json else sys.stdout
+        stream.write("".join(f"{line}\n" for line in github_annotations(result)))
+    if as_json:
+        print_json(result.to_dict())
+    else:
+        _print_regression(result, baseline)
+    if not result.passed:
+        raise typer.Exit(1)
+
+
+def _print_regression(result: "Regression", baseline: Path | None) -> None:
+    """What got worse and better in words, and the verdict as the last line."""
+    from fringebench.gate.wording import sentence
+
+    console = answer_console()
+    for row in result.failed:
+        console.print(
+            f"[red]{row.comparison.verdict}[/]  {escape(sentence(row, result.where(row)))}",
+            soft_wrap=True,
+        )
+    for row in result.improved:
+        console.print(f"[green]better[/]  {escape(sentence(row))}", soft_wrap=True)
+    if result.updated:
+        say(f"stored as {baseline}")
+    if result.rows:
+        failed = f"{len(result.failed)} of {len(result.rows)} figures failed"
+        verdict = failed if result.failed else f"passed, {len(result.rows)} figures"
+        say(f"{result.decoder} compared with {result.baseline}: {verdict}")
+
+
+@app.command(epilog="Example: fringebench export stack.exr -o frames")
+def export(
+    stack: Annotated[Path, typer.Argument(help="A stack EXR.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write.")],
+    projector: Annotated[
+        int | None, typer.Option(help="Whose frames, where there are several projectors.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write a stack as numbered PNGs and a manifest, for programs that read images."""
+    import scenes
+    from fringebench.exchange.capture_export import export as run
+
+    manifest = str(run(scenes.Stack.read(stack), output, projector))
+    if as_json:
+        print_json({"manifest": manifest})
+    else:
+        say(manifest)
+
+
+@app.command(epilog="Example: fringebench budget bench --set camera.resolution=[320,240]")
+def budget(
+    scene: SceneName,
+    settings: Settings = [],  # noqa: B006
+    phase_error: PhaseError = None,
+    render_noise: RenderNoise = None,
+    seed: Seed = 0,
+    repeats: Annotated[int, typer.Option(help="Decodes of each noisy variant.", min=1)] = 4,
+    fusion: Fusion = "max-modulation",
+    saturation: Annotated[
+        str, typer.Option(help="reject, or ignore: what a decoder without a saturation mask does.")
+    ] = "reject",
+    output: Folder = None,
+    progress: ShowProgress = Mode.AUTO,
+    as_json: AsJson = False,
+) -> None:
+    """Find which cause makes which part of the error: causes switched off, and on, one at a time."""
+    import scenes
+    from fringebench import verbs
+    from fringebench.pages.score_tables import budget_table
+
+    loaded = scenes.load(scene, parse_overrides(settings, phase_error, render_noise))
+    steps = progress_steps(progress)
+    found = verbs.budget(loaded, seed, repeats, fusion, saturation, output, steps)  # type: ignore[arg-type]
+    if as_json:
+        print_json(found.to_dict())
+        return
+    console = answer_console()
+    console.print(budget_table(found))
+    if found.absent:
+        console.print(f"not in this scene: {', '.join(found.absent)}")
+
+
+def parse_seeds(text: str) -> tuple[int, ...]:
+    """Seeds from a list such as ``0-15`` or ``3,7,20-22``; raises `FringebenchError` for another form.
+
+    >>> parse_seeds("3,7-9")
+    (3, 7, 8, 9)
+    """
+    from scenes.support.errors import FringebenchError
+
+    found: list[int] = []
+    for part in text.split(","):
+        ends = re.fullmatch(r"\s*(\d+)(?:-(\d+))?\s*", part)
+        if ends is None:
+            raise FringebenchError(f"--seeds '{text}': write whole numbers, such as 0-15 or 3,7,11")
+        first = int(ends[1])
+        found += range(first, int(ends[2] or first) + 1)
+    if len(set(found)) < 3:
+        raise FringebenchError(f"--seeds '{text}': give at least 3 different seeds")
+    return tuple(dict.fromkeys(found))
+
+
+def _prepared(output: Path | None) -> Path | None:
+    """A folder that cannot be written is reported before the work."""
+    from fringebench.output_folder import prepare
+
+    return None if output is None else prepare(output)

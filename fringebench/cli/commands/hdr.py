@@ -1,0 +1,101 @@
+"""The command that compares strategies."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.markup import escape
+
+from fringebench.cli.overrides import parse_overrides
+from fringebench.cli.shared_options import (
+    AsJson,
+    PhaseError,
+    RenderNoise,
+    SceneName,
+    Seed,
+    Settings,
+    ShowProgress,
+)
+from fringebench.cli.terminal import answer_console, print_figures, print_json, progress_steps, say
+from fringebench.progress import Mode
+
+app = typer.Typer()
+
+
+@app.command(
+    epilog="Example: fringebench compare bench --strategies max-modulation,censored-ml "
+    "--set camera.resolution=[320,240] -o comparison"
+)
+def compare(
+    scene: SceneName = "bench",
+    strategies: Annotated[
+        str | None, typer.Option(metavar="LIST", help="Names separated by commas; all by default.")
+    ] = None,
+    repeats: Annotated[
+        int, typer.Option(help="Captures of each strategy; 2 or more give intervals.", min=1)
+    ] = 5,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--output", help="Also write compare.json, figures and report.html here."
+        ),
+    ] = None,
+    budget: Annotated[
+        str,
+        typer.Option(
+            metavar="LIST",
+            help="What is equal, separated by commas: equal-time, equal-frames, cycle-time.",
+        ),
+    ] = "equal-time,equal-frames",
+    pareto: Annotated[
+        bool,
+        typer.Option("--pareto", help="Also error by cycle time, from 1/4 to 4 times the scene's."),
+    ] = False,
+    decoder: Annotated[
+        list[str],
+        typer.Option(
+            help="A whole decoder to compare too, package.module:callable or a command with {stack} and {output}; "
+            "repeat for several."
+        ),
+    ] = [],  # noqa: B006
+    settings: Settings = [],  # noqa: B006
+    phase_error: PhaseError = None,
+    render_noise: RenderNoise = None,
+    seed: Seed = 0,
+    progress: ShowProgress = Mode.AUTO,
+    as_json: AsJson = False,
+) -> None:
+    """Compare HDR strategies on one rendering, at equal exposure time, number of frames or cycle time."""
+    import scenes
+    from evaluation.hdr.light_budget import known_budgets
+    from fringebench import verbs
+    from fringebench.experiments.noise_summary import describe
+    from fringebench.pages.comparison_tables import pareto_tables, tables
+
+    loaded = scenes.load(scene, parse_overrides(settings, phase_error, render_noise))
+    result = verbs.compare(
+        loaded,
+        None if strategies is None else _names(strategies),
+        repeats,
+        seed,
+        output,
+        progress_steps(progress),
+        known_budgets(_names(budget)),
+        pareto,
+        decoder,
+    )
+    if as_json:
+        print_json(result.to_dict())
+        return
+    console = answer_console()
+    print_figures(tables(result, narrow=True) + pareto_tables(result))
+    for name, at, reason in result.left_out:
+        console.print(f"[yellow]left out:[/] {name}, {at}: {escape(reason)}")
+    if result.light:
+        console.print(describe(result.light), soft_wrap=True)
+    if output:
+        say(f"files in {output}")
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]

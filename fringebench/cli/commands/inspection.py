@@ -1,0 +1,283 @@
+"""``fringebench pads``, inspect a board's paste and how good that is; ``fringebench board``, look at its files."""
+
+from collections import Counter
+from dataclasses import asdict
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from fringebench.cli.outputs import check_outputs
+from fringebench.cli.overrides import parse_overrides
+from fringebench.cli.shared_options import (
+    AsJson,
+    PhaseError,
+    RenderNoise,
+    Seed,
+    Settings,
+    ShowProgress,
+    scene_names,
+)
+from fringebench.cli.terminal import answer_console, print_json, progress_steps, say
+from fringebench.pages.figure_tables import figure_table
+from fringebench.progress import Mode
+
+if TYPE_CHECKING:
+    from fringebench.experiments.pad_inspection import Inspection
+    from scenes import Scene
+
+app = typer.Typer()
+
+
+# Width of the budget's table, in characters.
+BUDGET_COLUMNS = 100
+
+
+@app.command("pads", epilog="Example: fringebench pads spi --budget")
+def pads(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="SCENE_OR_STACK",
+            help="A shipped scene's name, a TOML file, or frames (stack.exr).",
+            autocompletion=scene_names,
+        ),
+    ] = "spi",
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--output", help="Measured pads as CSV, in the columns of SPI machines."
+        ),
+    ] = None,
+    truth: Annotated[
+        Path | None, typer.Option("--truth", help="True pads as CSV, in the same columns.")
+    ] = None,
+    board: Annotated[
+        str | None,
+        typer.Option(
+            "--board",
+            metavar="SCENE",
+            help="For frames of a real board: the scene whose board has its artwork.",
+        ),
+    ] = None,
+    threshold_um: Annotated[
+        float, typer.Option(help="Height above the pad from which paste counts, µm.", min=0.0)
+    ] = 40.0,
+    budget: Annotated[
+        bool,
+        typer.Option(
+            "--budget", help="Error budget: what metal, grains, noise and the threshold contribute."
+        ),
+    ] = False,
+    gauge: Annotated[
+        bool, typer.Option("--gauge", help="Gauge study: repeats, sensors and places.")
+    ] = False,
+    settings: Settings = [],  # noqa: B006
+    phase_error: PhaseError = None,
+    render_noise: RenderNoise = None,
+    seed: Seed = 0,
+    progress: ShowProgress = Mode.AUTO,
+    as_json: AsJson = False,
+) -> None:
+    """Measure a board's paste as an inspection machine does: volume, area, height, offset and defects against the truth.
+
+    Of a scene, of frames made from one, or of real frames with --board.
+    """
+    import scenes
+    from evaluation.inspection.spi_csv import write_spi_csv
+    from scenes.support.errors import SceneError
+
+    check_outputs({"-o": output, "--truth": truth}, [source])
+    frames = Path(source).suffix.lower() == ".exr"
+    _check_use(frames, board, truth, budget or gauge)
+    overrides = parse_overrides(settings, phase_error, render_noise)
+    steps = progress_steps(progress)
+    if board is not None:
+        artwork = scenes.load(board, overrides)
+        _capture(source, artwork, output, threshold_um, as_json)
+        return
+    from fringebench.experiments.pad_inspection import DEVICES, inspect, inspect_stack, pad_budget
+    from fringebench.experiments.pad_inspection import gauge as study
+
+    if frames:
+        stack = scenes.Stack.read(source)
+        if not stack.scene:
+            raise SceneError(f"'{source}' names no scene: give the board's artwork with --board")
+        loaded = scenes.parse(stack.scene, overrides, where=f"the scene of '{source}'")
+        found = inspect_stack(stack, loaded, threshold_um * 1e-3)
+    else:
+        loaded = scenes.load(source, overrides)
+        found = inspect(loaded, seed, threshold_um * 1e-3, steps=steps)
+    if output is not None:
+        write_spi_csv(found.measured, found.board, output, panel=loaded.name)
+    if truth is not None:
+        write_spi_csv(found.board.pads, found.board, truth, panel=loaded.name)
+    answer: dict[str, Any] = {
+        "threshold_um": threshold_um,
+        "threshold_bias_percent": found.threshold_bias_percent,
+        "errors": asdict(found.errors),
+        "warp": _warp(found),
+        "confusion": found.confusion.to_dict(),
+        "pads": [asdict(pad) for pad in found.measured],
+    }
+    taken = f"pads against truth; the {threshold_um:g} um threshold alone removes {-found.threshold_bias_percent:.1f} %"
+    tables = [_errors({"as measured": found.errors}, taken), _gates(answer["confusion"])]
+    if budget:
+        rows = pad_budget(loaded, seed, steps)
+        answer["budget"] = {name: asdict(errors) for name, errors in rows.items()}
+        answer["absent"] = [cause for cause in DEVICES if cause not in rows]
+        title = "one cause at a time, pads of 0.3 mm and more; absent: " + ", ".join(
+            answer["absent"]
+        )
+        tables.append(_errors(rows, title))
+    if gauge:
+        result = study(loaded, seed, threshold_mm=threshold_um * 1e-3, steps=steps)
+        answer["gauge"] = result.to_dict()
+        tables.append(_study(answer["gauge"]))
+    if as_json:
+        print_json(answer)
+        return
+    console = answer_console()
+    # A table cut to fewer columns would show cut figures.
+    console.width = max(console.width, BUDGET_COLUMNS)
+    for table in tables:
+        console.print(table)
+
+
+def _warp(found: "Inspection") -> dict[str, float] | None:
+    """Measured tilt and bow; None where the pads do not fix them."""
+    from evaluation.inspection.pad_measurement import measured_warp
+    from scenes.support.errors import ScoreError
+
+    try:
+        return asdict(measured_warp(found.measured, found.board))
+    except ScoreError:
+        return None
+
+
+def _check_use(frames: bool, board: str | None, truth: Path | None, traces: bool) -> None:
+    """`SceneError` for options that exclude each other."""
+    from scenes.support.errors import SceneError
+
+    if frames and traces:
+        raise SceneError("--budget and --gauge trace a scene again: give the scene, not its frames")
+    if board is not None and not frames:
+        raise SceneError(
+            "--board is for frames of a real board: give a stack, for example stack.exr"
+        )
+    if board is not None and truth is not None:
+        raise SceneError("the truth of real frames is not known: leave out --truth")
+
+
+def _capture(
+    source: str, artwork: "Scene", output: Path | None, threshold_um: float, as_json: bool
+) -> None:
+    """Measure real frames: verdicts at the usual limits, without a truth."""
+    import scenes
+    from evaluation.inspection.pad_limits import PadLimits, judge
+    from evaluation.inspection.spi_csv import write_spi_csv
+    from fringebench.experiments.pad_inspection import measure_capture
+
+    nominal, measured = measure_capture(scenes.Stack.read(source), artwork, threshold_um * 1e-3)
+    if output is not None:
+        write_spi_csv(measured, nominal, output, panel=Path(source).stem)
+    counts = Counter(
+        verdict
+        for pad, true in zip(measured, nominal.pads, strict=True)
+        for verdict in judge(pad, true, PadLimits())
+    )
+    if as_json:
+        pads = [asdict(pad) for pad in measured]
+        print_json({"threshold_um": threshold_um, "verdicts": dict(counts), "pads": pads})
+        return
+    rows = [(name, str(count)) for name, count in counts.most_common()]
+    table = figure_table(f"{len(measured)} pads measured", "verdict", ["pads"], rows)
+    answer_console().print(table)
+
+
+def _errors(errors: dict[str, Any], title: str) -> Table:
+    figures = "pads", "not seen", "vol. %", "sd %", "worst %", "area %", "h µm", "offs. µm"
+    rows = [
+        [
+            name,
+            str(e.pads),
+            str(e.unmeasured),
+            f"{e.volume_bias_percent:+.2f}",
+            f"{e.volume_sd_percent:.2f}",
+            f"{e.volume_max_percent:.1f}",
+            f"{e.area_bias_percent:+.1f}",
+            f"{1e3 * e.height_bias_mm:+.2f}",
+            f"{1e3 * e.offset_rms_mm:.2f}",
+        ]
+        for name, e in errors.items()
+    ]
+    # Without vertical lines the widest figures fit into 80 columns.
+    return figure_table(title, "", figures, rows, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+
+
+def _gates(confusion: dict[str, Any]) -> Table:
+    keys = ("caught", "escaped", "false_calls", "passed")
+    rows = [[name, *(str(gate[k]) for k in keys)] for name, gate in confusion["gates"].items()]
+    figures = (key.replace("_", " ") for key in keys)
+    return figure_table("accept or reject, measured against true", "limit", figures, rows)
+
+
+def _study(study: dict[str, Any]) -> Table:
+    table = Table(title="gauge study of volume, % of nominal", title_justify="left")
+    for name in ("EV", "reprod.", "GRR", "% of tolerance", "% of study", "categories"):
+        table.add_column(name, justify="right")
+    shown = {"ev": 3, "reproducibility": 3, "grr": 3}
+    shown |= {"grr_percent_of_tolerance": 1, "grr_percent_of_study": 1, "distinct_categories": 0}
+    table.add_row(*(f"{study[name]:.{digits}f}" for name, digits in shown.items()))
+    return table
+
+
+class Action(StrEnum):
+    """What to do with a board's files."""
+
+    CHECK = "check"
+
+
+@app.command("board", epilog="Example: fringebench board check gerbers -o board.png")
+def board_files(
+    action: Annotated[Action, typer.Argument(help="check: read the files twice.")],
+    folder: Annotated[Path, typer.Argument(help="Folder of the board's Gerber files.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Picture (PNG) of paste over copper over outline."),
+    ] = None,
+    bottom: Annotated[bool, typer.Option("--bottom", help="The bottom side.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Read the layers of one side of a board with two independent readers, and list pads outside the outline.
+
+    The second reader is gerbonara. Status 1: they differ by more than 0.2 % of a layer's area, or pads are outside.
+    """
+    from fringebench.experiments.board_check import check_board
+    from scenes.support.atomic_file import replacing
+
+    assert action is Action.CHECK
+    check_outputs({"-o": output}, [])
+    found = check_board(folder, "bottom" if bottom else "top")
+    if output is not None:
+        with replacing(output) as staged:
+            found.picture.savefig(staged, format="png", dpi=200)
+    if as_json:
+        layers = [asdict(layer) | {"agrees": layer.agrees} for layer in found.layers]
+        print_json({"pads": found.pads, "outside": list(found.outside), "layers": layers})
+    else:
+        rows = []
+        for layer in found.layers:
+            figures = (layer.area_mm2, layer.second_mm2, layer.apart_mm2)
+            cells = ["-" if f is None else f"{f:.4f}" for f in figures]
+            rows.append([f"{layer.role}: {layer.file}", *cells, layer.note or str(layer.agrees)])
+        names = ["mm2", "second reader", "apart", "agrees"]
+        title = f"{found.pads} paste openings"
+        answer_console().print(figure_table(title, "layer", names, rows))
+        if found.outside:
+            say(f"outside the outline, not printed: {', '.join(found.outside)}")
+    if found.outside or not all(layer.agrees for layer in found.layers):
+        raise typer.Exit(1)

@@ -1,0 +1,389 @@
+"""The pipeline as commands, whole and stage by stage: run, render, expose, decode, evaluate; and what is shipped."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.markup import escape
+
+from fringebench.cli.outputs import check_outputs
+from fringebench.cli.overrides import override_exposed, parse_overrides
+from fringebench.cli.shared_options import (
+    AsJson,
+    Fusion,
+    PhaseError,
+    RenderNoise,
+    SceneName,
+    Seed,
+    Settings,
+    ShowProgress,
+)
+from fringebench.cli.terminal import answer_console, print_json, progress_steps, say
+from fringebench.progress import Mode
+
+app = typer.Typer()
+
+NAIVE_TITLE = "one exposure, saturation ignored (the textbook's warning)"
+
+Folder = Annotated[Path | None, typer.Option("-o", "--output", help="Folder to write.")]
+
+
+@app.command(epilog="Example: fringebench run solder --set camera.resolution=[320,240] -o out")
+def run(
+    scene: SceneName = "bench",
+    output: Folder = None,
+    settings: Settings = [],  # noqa: B006
+    phase_error: PhaseError = None,
+    render_noise: RenderNoise = None,
+    seed: Seed = 0,
+    fusion: Fusion = "max-modulation",
+    progress: ShowProgress = Mode.AUTO,
+    as_json: AsJson = False,
+) -> None:
+    """Trace light, expose, decode and score a scene; write every file and a report, and print the scores."""
+    import scenes
+    from fringebench import verbs
+    from scenes.support.paths import as_file_name
+
+    loaded = scenes.load(scene, parse_overrides(settings, phase_error, render_noise))
+    folder = output or Path(f"fringebench-{as_file_name(loaded.name)}")
+    result = verbs.run(loaded, folder, seed, fusion, progress_steps(progress))
+    if as_json:
+        print_json(result.score.to_dict())
+        return
+    from fringebench.experiments.noise_summary import describe, describe_regions
+    from fringebench.pages.score_tables import feature_table, fused_title, score_table
+
+    console = answer_console()
+    console.print(score_table(result.naive, NAIVE_TITLE))
+    console.print(score_table(result.score, fused_title(len(result.stack.exposure_ms), fusion)))
+    if result.score.features:
+        console.print(feature_table(result.score))
+    said = describe(result.score.light) if result.score.light else describe_regions(result.score)
+    if said:
+        console.print(said, soft_wrap=True)
+    spent = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in result.seconds.items())
+    say(f"files in {result.folder}  ({spent})")
+
+
+@app.command("scenes", epilog="Example: fringebench scenes bench > mine.toml")
+def list_scenes(
+    name: Annotated[str | None, typer.Argument(help="Print this scene's TOML.")] = None,
+    schema: Annotated[
+        bool, typer.Option("--schema", help="Print the JSON schema of scene files.")
+    ] = False,
+    settings: Settings = [],  # noqa: B006
+    as_json: AsJson = False,
+) -> None:
+    """List the shipped scenes, print one's TOML, or print the schema."""
+    import scenes
+
+    if schema:
+        print_json(scenes.schema())
+    elif name:
+        if as_json:
+            print_json(scenes.load(name, parse_overrides(settings)).model_dump(mode="json"))
+        elif settings:
+            sys.stdout.write(scenes.dumps(scenes.load(name, parse_overrides(settings))))
+        else:
+            sys.stdout.write(scenes.source(name))
+    else:
+        listed = {n: scenes.load(n).description for n in scenes.shipped()}
+        if as_json:
+            print_json(listed)
+        else:
+            from rich.table import Table
+
+            table = Table("scene", "what it shows")
+            for shipped, description in listed.items():
+                table.add_row(shipped, description)
+            answer_console().print(table)
+
+
+@app.command("render", epilog="Example: fringebench render step -o transport.exr --truth truth.exr")
+def render_scene(
+    scene: SceneName,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Transport file.")] = Path(
+        "transport.exr"
+    ),
+    truth: Annotated[
+        Path | None, typer.Option(help="Also write the truth maps to this file.")
+    ] = None,
+    settings: Settings = [],  # noqa: B006
+    phase_error: PhaseError = None,
+    render_noise: RenderNoise = None,
+    seed: Seed = 0,
+    samples: Annotated[
+        int | None,
+        typer.Option(
+            help="As sampling.samples of the scene; with --phase-error, of each pass.", min=1
+        ),
+    ] = None,
+    depth: Annotated[
+        int | None,
+        typer.Option(help="Maximum number of surfaces on a light path; 1: direct light.", min=1),
+    ] = None,
+    progress: ShowProgress = Mode.AUTO,
+    as_json: AsJson = False,
+) -> None:
+    """Trace a scene's light transport, once, for all its patterns."""
+    check_outputs({"-o": output, "--truth": truth}, [scene])
+    import render
+    import scenes
+    from fringebench.experiments.noise_summary import describe, figures
+
+    loaded = scenes.load(scene, parse_overrides(settings, phase_error, render_noise))
+    steps = progress_steps(progress)
+    with steps.step("trace light") as done:
+        surfaces = render.surfaces(loaded)
+        transport = render.trace(
+            loaded,
+            seed=seed,
+            samples=samples,
+            depth=depth,
+            progress=done,
+            phase_error_rad=phase_error,
+            render_noise=render_noise,
+            surfaces=surfaces,
+        )
+        transport.write(output)
+    if truth:
+        with steps.step("truth"):
+            render.truth(loaded, transport, surfaces).write(truth)
+    if as_json:
+        written = {"transport": str(output), "truth": str(truth) if truth else None}
+        traced = {"samples": transport.samples, "depth": transport.depth}
+        light = figures(transport)
+        print_json(written | traced | ({"light": light} if light else {}))
+        return
+    channels = sum(len(basis.channels) for basis in transport.bases)
+    rows, columns = transport.ambient.shape
+    say(
+        f"{output}: {columns} x {rows} px, {channels} channels, {transport.samples} samples per pixel"
+    )
+    if truth:
+        say(f"{truth}: {', '.join(transport.labels)}")
+    if light := figures(transport):
+        say(describe(light))
+
+
+@app.command(
+    epilog="Example: fringebench expose transport.exr -o stack.exr --exposure-ms 2 --exposure-ms 8"
+)
+def expose(
+    transport: Annotated[Path, typer.Argument(help="A transport EXR, written by render.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Stack file.")] = Path("stack.exr"),
+    exposure_ms: Annotated[
+        list[float], typer.Option(help="Exposure time; may be repeated. Default: the scene's own.")
+    ] = [],  # noqa: B006
+    settings: Annotated[
+        list[str],
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Override a key of sensor, exposures or patterns; may be repeated.",
+        ),
+    ] = [],  # noqa: B006
+    seed: Annotated[int, typer.Option(help="Seed of sensor noise.", min=0)] = 0,
+    progress: ShowProgress = Mode.AUTO,
+    as_json: AsJson = False,
+) -> None:
+    """Turn transport into frames of digital numbers: exposures, noise, clipping."""
+    check_outputs({"-o": output}, [transport])
+    import render
+
+    light = render.Transport.read(transport)
+    scene = override_exposed(light.scene, settings)
+    with progress_steps(progress).step("expose") as done:
+        stack = render.expose(
+            light,
+            seed=seed,
+            sensor=scene.sensor,
+            exposures=exposure_ms or scene.exposures,
+            patterns=scene.patterns,
+            progress=done,
+        )
+        stack.write(output)
+    if as_json:
+        levels = {"exposure_ms": stack.exposure_ms, "saturation_dn": stack.saturation_dn}
+        print_json({"stack": str(output), "shape": stack.frames.shape} | levels)
+        return
+    times = ", ".join(f"{time:.4g}" for time in stack.exposure_ms)
+    frames, rows, columns = stack.frames.shape[1:]
+    say(f"{output}: {frames} frames at {times} ms, {columns} x {rows} px")
+
+
+@app.command(
+    "decode", epilog="Example: fringebench decode stack.exr -o reconstruction.exr --fusion single"
+)
+def decode_stack(
+    stack: Annotated[Path, typer.Argument(help="A stack EXR, written by expose or import.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Reconstruction file.")] = Path(
+        "reconstruction.exr"
+    ),
+    fusion: Fusion = "max-modulation",
+    unwrap: Annotated[
+        str | None, typer.Option(help="Unwrapping: temporal, row-scan, quality-guided.")
+    ] = None,
+    height: Annotated[
+        str | None,
+        typer.Option(
+            help="Height: triangulation, reference-plane, linear; phase: none, phases only."
+        ),
+    ] = None,
+    c_px_per_mm: Annotated[
+        float | None,
+        typer.Option(
+            help="Fringe shift per mm of height, for a linear height without calibration."
+        ),
+    ] = None,
+    gamma: Annotated[
+        str | None,
+        typer.Option(help="Correct the phase for this gamma; 'estimate': from harmonics."),
+    ] = None,
+    roi: Annotated[
+        tuple[int, int, int, int] | None,
+        typer.Option(metavar="ROW0 ROW1 COL0 COL1", help="Decode only this region."),
+    ] = None,
+    anchor: Annotated[
+        str | None,
+        typer.Option(
+            help="What fixes the coarsest order: gray, volume, field; spatial: nothing measured."
+        ),
+    ] = None,
+    axis: Annotated[
+        str | None, typer.Option(help="Projector axis that measures height: column, row.")
+    ] = None,
+    saturation: Annotated[
+        str, typer.Option(help="reject; or ignore: clipped samples count as good.")
+    ] = "reject",
+    min_modulation_dn: Annotated[
+        float | None, typer.Option(help="Modulation below which a pixel is dark, DN.")
+    ] = None,
+    max_order_residual: Annotated[
+        float,
+        typer.Option(help="Largest distance of a predicted order from a whole number, periods."),
+    ] = 0.25,
+    progress: ShowProgress = Mode.AUTO,
+    as_json: AsJson = False,
+) -> None:
+    """Reconstruct heights from a stack."""
+    check_outputs({"-o": output}, [stack])
+    import decode
+    import scenes
+    from scenes.support.errors import DecodeError
+
+    number: float | str | None = gamma
+    if gamma is not None and gamma != "estimate":
+        try:
+            number = float(gamma)
+        except ValueError:
+            raise DecodeError(f"--gamma '{gamma}': give a number, or 'estimate'") from None
+    options = decode.Options.of(
+        {
+            "fusion": fusion,
+            "unwrap": unwrap,
+            "height": height,
+            "c_px_per_mm": c_px_per_mm,
+            "gamma": number,
+            "roi": roi,
+            "anchor": anchor,
+            "axis": axis,
+            "saturation": saturation,
+            "min_modulation_dn": min_modulation_dn,
+            "max_order_residual": max_order_residual,
+        }
+    )
+    with progress_steps(progress).step("decode"):
+        reconstruction = decode.reconstruct_with(scenes.Stack.read(stack), options)
+        reconstruction.write(output)
+    if as_json:
+        found = {"reasons": reconstruction.reason_fractions(), "settings": reconstruction.settings}
+        print_json({"reconstruction": str(output)} | found)
+        return
+    shares = dict(reconstruction.reason_fractions())
+    measured = f"{shares.pop('ok'):.1%} of the pixels measured"
+    rejected = "".join(f"; {reason} {share:.2%}" for reason, share in shares.items())
+    say(f"{output}: {measured}{rejected}")
+    if not reconstruction.order_known:
+        say(
+            "the fringe order is known only up to whole turns: heights may be off by whole fringes; a coarser period, Gray "
+            "code or smaller height range fixes it"
+        )
+
+
+@app.command(epilog="Example: fringebench evaluate reconstruction.exr truth.exr --json")
+def evaluate(
+    reconstruction: Annotated[
+        Path, typer.Argument(help="A reconstruction EXR, written by decode.")
+    ],
+    truth: Annotated[Path, typer.Argument(help="A truth EXR, written by render --truth.")],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Also write the scores to this JSON file.")
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Score even if the truth is of another scene or rig.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Score a reconstruction against the truth."""
+    check_outputs({"-o": output}, [reconstruction, truth])
+    import decode
+    import evaluation
+    import scenes
+
+    score = evaluation.score(
+        decode.Reconstruction.read(reconstruction), scenes.Truth.read(truth), force=force
+    )
+    if output:
+        score.write(output)
+    if as_json:
+        print_json(score.to_dict())
+        return
+    from fringebench.experiments.noise_summary import describe_regions
+    from fringebench.pages.score_tables import feature_table, score_table
+
+    answer_console().print(score_table(score, escape(str(reconstruction))))
+    if score.features:
+        answer_console().print(feature_table(score))
+    if said := describe_regions(score):
+        answer_console().print(said, soft_wrap=True)
+
+
+@app.command(epilog="Example: fringebench chapter -o figures --json")
+def chapter(
+    output: Folder = None,
+    seed: Seed = 0,
+    progress: ShowProgress = Mode.AUTO,
+    as_json: AsJson = False,
+) -> None:
+    """Repeat the textbook chapter's experiments; compare its figures with theory and with what is measured."""
+    from fringebench.experiments.textbook import run as run_chapter
+    from fringebench.pages.chapter_page import chapter_report, chapter_table
+
+    result = run_chapter(output, seed, progress_steps(progress), chapter_report)
+    if as_json:
+        print_json(result.to_dict())
+        return
+    answer_console().print(chapter_table(result))
+    if output:
+        say(f"figures in {output}")
+
+
+@app.command(epilog="Example: fringebench doctor --json")
+def doctor(as_json: AsJson = False) -> None:
+    """Show what this machine has, and what to do about what is missing."""
+    from fringebench.diagnosis import diagnose
+
+    diagnosis = diagnose()
+    if as_json:
+        print_json(diagnosis.to_dict())
+    else:
+        from fringebench.pages.score_tables import doctor_table
+
+        answer_console().print(doctor_table(diagnosis))
+        for problem in diagnosis.problems:
+            answer_console().print(f"[bold red]missing:[/] {escape(problem)}")
+    if not diagnosis.healthy:
+        raise typer.Exit(2)

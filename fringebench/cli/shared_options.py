@@ -1,0 +1,67 @@
+"""Arguments and options that several commands share."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fringebench.progress import Mode
+
+
+def scene_names(incomplete: str) -> Iterator[str]:
+    """What the shell completes a scene to: shipped names, TOML files and folders."""
+    import scenes
+
+    yield from (name for name in scenes.shipped() if name.startswith(incomplete))
+    start = Path(incomplete)
+    folder = start if incomplete.endswith("/") else start.parent
+    if folder.is_dir():
+        for path in sorted(folder.iterdir()):
+            text = str(path) + ("/" if path.is_dir() else "")
+            if text.startswith(incomplete) and (path.is_dir() or path.suffix == ".toml"):
+                yield text
+
+
+def fusion_rules(incomplete: str) -> list[str]:
+    """What the shell completes a fusion rule to."""
+    import decode
+
+    return [name for name in decode.rules() if name.startswith(incomplete)]
+
+
+SceneName = Annotated[
+    str, typer.Argument(help="A shipped scene's name, or a TOML file.", autocompletion=scene_names)
+]
+Settings = Annotated[
+    list[str],
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help="Override a key of the scene; may be repeated."
+    ),
+]
+PhaseError = Annotated[
+    float | None,
+    typer.Option(
+        "--phase-error",
+        metavar="RAD",
+        help="Trace until render noise moves the phase of 95 % of lit pixels by less (sampling.phase_error_rad).",
+    ),
+]
+RenderNoise = Annotated[
+    float | None,
+    typer.Option(
+        "--render-noise",
+        metavar="SHARE",
+        help="Trace until render noise is below this share of the sensor's noise in each label (sampling.render_noise).",
+    ),
+]
+Seed = Annotated[int, typer.Option(help="Seed of light paths and sensor noise.", min=0)]
+Fusion = Annotated[str, typer.Option(help="Exposure fusion rule.", autocompletion=fusion_rules)]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
+ShowProgress = Annotated[
+    Mode,
+    typer.Option(
+        "--progress",
+        help="auto: bars on a terminal, lines when piped and the work is long. plain: lines. none: nothing.",
+    ),
+]

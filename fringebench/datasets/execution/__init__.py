@@ -1,0 +1,1 @@
+"""Who makes the samples: processes of this machine, or a Dask cluster."""

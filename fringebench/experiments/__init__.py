@@ -1,0 +1,1 @@
+"""Experiments on a scene: whole runs, comparisons, error budgets, acceptance tests, inspection."""

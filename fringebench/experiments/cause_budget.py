@@ -1,0 +1,215 @@
+"""Error budget of a scene: each cause is switched off and on, and the scene traced, exposed, decoded and scored."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import decode
+import evaluation
+import render
+import scenes
+from evaluation.scoring.error_budget import Causes, ErrorBudget, variants
+from evaluation.scoring.error_budget import budget as add_up
+from fringebench.progress import StepProgress, Steps
+from scenes.acquisition.sensor import Emva, Sensor, without_blur
+from scenes.support.errors import DecodeError, FringebenchError
+
+Floats = NDArray[np.float64]
+
+CAUSES = (
+    "noise",
+    "quantisation",
+    "saturation",
+    "interreflection",
+    "defocus",
+    "footprint",
+    "psf",
+    "projector-pixels",
+    "gamma",
+    "projector-quantisation",
+    "vignetting",
+    "vibration",
+    "source",
+    "speckle",
+)
+# Causes that are in traced light, and causes that differ from picture to picture.
+OPTICAL = frozenset(CAUSES[4:6] + CAUSES[7:11])
+RANDOM = frozenset({"noise", "vibration", "source", "speckle"})
+# Electrons; a full well that no light fills.
+BOTTOMLESS_E = 1e12
+
+
+def budget(
+    scene: scenes.Scene, seed: int = 0, repeats: int = 4, steps: Steps | None = None, **choices: Any
+) -> ErrorBudget:
+    """Switch causes off one at a time, and on one at a time, and measure the height errors of each region.
+
+    Causes are ``noise`` (of the sensor, with its fixed pattern), ``quantisation`` (rounding to digital numbers),
+    ``saturation`` (clipping; without it the longest exposure is used everywhere, so it interacts with noise),
+    ``interreflection`` (light that met more than one surface), ``psf`` (the camera's blur), ``vibration`` (of the scene),
+    ``source`` (fluctuation of the projectors, flicker of ambient light), ``speckle`` (of coherent projectors), ``defocus`` (lenses of camera and projectors),
+    ``footprint`` (the width of a pixel; without it only the ray of its centre counts), ``projector-pixels`` (squares, gaps
+    and blur of the projector), ``gamma`` and ``projector-quantisation`` (its tone curve and bits) and ``vignetting`` (of all
+    devices). The sensor's non-linearity counts as saturation. Causes that the scene does not have are left out. Exposure
+    times are always those of the complete scene. `choices` are options of `decode.reconstruct`.
+
+    Render noise is a cause of its own (``render-noise``). Raises `FringebenchError` for fewer than 1 repeat.
+    """
+    if repeats < 1:
+        raise FringebenchError(f"repeats = {repeats}: needs 1 or more")
+    # An invalid option is reported before light is traced, not after.
+    decode.Options.of(choices).rule()
+    steps = steps or Steps()
+    causes = [cause for cause in CAUSES if has_cause(scene, cause)]
+    lights: dict[Causes, render.Transport] = {}
+    slopes: dict[Causes, render.Transport] = {}
+    surfaces = render.surfaces(scene)
+    truth = None
+    errors: dict[Causes, Floats] = {}
+    times: Sequence[float] = ()
+    for on in variants(causes):
+        optical: Causes = on & OPTICAL
+        if optical not in lights:
+            name = "trace light with " + (", ".join(sorted(optical)) or "ideal optics")
+            with steps.step(name) as done:
+                lights[optical] = _trace(scene, on, seed, done, surfaces)
+        if "vibration" in on and optical not in slopes:
+            with steps.step("trace how light changes with height"):
+                footprint = float("footprint" in on)
+                slopes[optical] = render.height_slope(lights[optical], surfaces, footprint)
+        if truth is None:  # the first variant has everything on
+            truth = render.truth(scene, lights[optical], surfaces)
+            times = render.expose(lights[optical], seed=seed).exposure_ms
+        with steps.step("decode with " + (", ".join(sorted(on)) or "nothing against it")):
+            slope = slopes.get(optical) if "vibration" in on else None
+            errors[on] = np.stack(
+                [
+                    _error_mm(_expose(lights[optical], slope, on, times, seed + i), truth, choices)
+                    for i in range(repeats if on & RANDOM else 1)
+                ]
+            )
+    assert truth is not None
+    regions = {label: evaluation.scored(truth, label) for label in truth.labels}
+    absent = [cause for cause in CAUSES if cause not in causes]
+    return add_up(scene.name, causes, errors, regions, absent, truth.render_noise_mm)
+
+
+def has_cause(scene: scenes.Scene, cause: str) -> bool:
+    """Whether switching the cause off changes the scene."""
+    if cause == "interreflection":
+        return scene.sampling.depth > 1
+    if cause == "quantisation":
+        return scene.sensor.bits > 0
+    if cause == "psf":
+        return without_blur(scene.sensor) != scene.sensor
+    if cause in ("noise", "saturation", "footprint"):
+        return True
+    return without_causes(scene, frozenset({cause})) != scene
+
+
+def without_causes(scene: scenes.Scene, off: Causes) -> scenes.Scene:
+    """The scene without the causes of its devices, of ambient light and of vibration that are off."""
+    devices: dict[str, dict[str, Any]] = {
+        "defocus": {"lens": None},
+        "vignetting": {"vignetting": (), "evenness": None},
+    }
+    emission = devices | {
+        "gamma": {"gamma": 1.0},
+        "projector-quantisation": {"bits": 0},
+        "source": {"fluctuation": 0.0},
+        "speckle": {"speckle_contrast": 0.0},
+    }
+
+    def changes(known: dict[str, dict[str, Any]]) -> dict[str, Any]:
+        return {key: value for c in off & known.keys() for key, value in known[c].items()}
+
+    projectors = []
+    for projector in scene.projectors:
+        changed = projector.model_copy(update=changes(emission))
+        if projector.pixelated:
+            # Pixels stay where gamma and bits, which ask for them, are off.
+            squares = "projector-pixels" not in off
+            if changed.pixelated != squares:
+                changed = changed.model_copy(update={"pixels": squares})
+        projectors.append(changed)
+    ambient = scene.ambient
+    if "source" in off:
+        ambient = ambient.model_copy(update={"flicker_depth": 0.0})
+    return scene.model_copy(
+        update={
+            "camera": scene.camera.model_copy(update=changes(devices)),
+            "projectors": tuple(projectors),
+            "ambient": ambient,
+            "vibration_um": 0.0 if "vibration" in off else scene.vibration_um,
+        }
+    )
+
+
+def _trace(
+    scene: scenes.Scene, on: Causes, seed: int, done: StepProgress, surfaces: render.Surfaces
+) -> render.Transport:
+    changed = without_causes(scene, OPTICAL - on)
+    footprint = float("footprint" in on)
+    return render.trace(changed, seed=seed, footprint=footprint, progress=done, surfaces=surfaces)
+
+
+def _expose(
+    transport: render.Transport,
+    slope: render.Transport | None,
+    on: Causes,
+    times: Sequence[float],
+    seed: int,
+) -> scenes.Stack:
+    scene = transport.scene
+    scene = without_causes(scene, RANDOM - on)
+    transport, sensor = replace(transport, scene=scene), scene.sensor
+    if "psf" not in on:
+        sensor = without_blur(sensor)
+    clips, rounds = "saturation" in on, "quantisation" in on
+    used = sensor if clips else _unlimited(sensor)
+    if not rounds:
+        used = used.model_copy(update={"bits": 0})
+    stack = render.expose(
+        transport,
+        seed=seed,
+        sensor=used,
+        exposures=times,
+        direct_only="interreflection" not in on,
+        noise="noise" in on,
+        steady=not on & RANDOM,
+        slope=slope,
+    )
+    frames = stack.frames
+    if clips and not rounds:
+        frames = np.clip(frames, 0.0, sensor.full_scale_dn).astype(np.float32)
+    if rounds and not clips and sensor.bits:
+        frames = np.rint(frames).astype(np.float32)
+    # The decoder believes the sensor it was given, but for the saturation that is switched off.
+    return scenes.Stack(
+        frames,
+        stack.patterns,
+        stack.exposure_ms,
+        sensor if clips else used,
+        stack.calibration,
+        stack.scene,
+        stack.seed,
+    )
+
+
+def _unlimited(sensor: Sensor) -> Sensor:
+    changes: dict[str, float] = {"bits": 0}
+    if isinstance(sensor, Emva):
+        changes["full_well_e"] = BOTTOMLESS_E
+    return sensor.model_copy(update=changes)
+
+
+def _error_mm(stack: scenes.Stack, truth: scenes.Truth, choices: dict[str, Any]) -> Floats:
+    try:
+        return evaluation.height_error_mm(decode.reconstruct(stack, **choices), truth)
+    except DecodeError as error:
+        if "no pixel could be decoded" not in str(error):
+            raise
+        return np.full(truth.height_mm.shape, np.nan)

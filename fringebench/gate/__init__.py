@@ -1,0 +1,1 @@
+"""The gate for a decoder: its cases, its decoders, its verdict."""

@@ -1,0 +1,65 @@
+"""What the gate found, in words."""
+
+from evaluation.gate.regression import JudgedFigure
+
+NAMES = {
+    "bias_mm": "mean error",
+    "systematic_mm": "systematic error",
+    "wrong_order_fraction": "wrong fringe orders",
+    "silent_fraction": "silent errors (valid, beyond 5 claimed sigmas)",
+    "missing_fraction": "missing pixels",
+    "invented_fraction": "unlit pixels declared valid",
+    "beyond_1_sigma_fraction": "errors beyond 1 claimed sigma",
+    "beyond_2_sigma_fraction": "errors beyond 2 claimed sigmas",
+    "beyond_3_sigma_fraction": "errors beyond 3 claimed sigmas",
+    "excess_sigma_mm": "claimed sigma above the actual error",
+}
+
+
+def short_name(metric: str) -> str:
+    """Name of a figure without its unit, for tables.
+
+    >>> short_name("wrong_order_fraction")
+    'wrong order'
+    """
+    return metric.removesuffix("_mm").removesuffix("_fraction").replace("_", " ")
+
+
+def scaled(metric: str) -> tuple[float, str]:
+    """Factor and unit in which a figure is shown: micrometres, or percent.
+
+    >>> scaled("bias_mm")
+    (1000.0, 'µm')
+    """
+    return (1000.0, "µm") if metric.endswith("_mm") else (100.0, "%")
+
+
+def number(value: float) -> str:
+    """Three significant digits, no exponent for what a person reads.
+
+    >>> number(0.012345), number(1234.5), number(-0.0)
+    ('0.0123', '1234', '0')
+    """
+    text = f"{value + 0.0:.3g}"
+    return f"{value:.0f}" if "e" in text and abs(value) >= 1.0 else text
+
+
+def sentence(row: JudgedFigure, where: str = "") -> str:
+    """One judged figure as a sentence: case, region, what, from and to how much, and where (see
+    `fringebench.gate.error_maps.place`).
+    """
+    test = row.comparison
+    scale, unit = scaled(row.metric)
+    old, new = number(row.old.mean * scale), number(row.new.mean * scale)
+    change = number(abs(test.difference) * scale)
+    margin = number(test.margin * scale)
+    moved = f"{NAMES.get(row.metric, row.metric)}: {old} {unit} -> {new} {unit}"
+    if test.verdict == "worse":
+        verdict = f"worse by {change} {unit}, {margin} {unit} allowed"
+    elif test.verdict == "undecided":
+        up = number(test.upper * scale)
+        verdict = f"may be worse by up to {up} {unit}, {margin} {unit} allowed: give more seeds"
+    else:
+        verdict = f"{test.verdict} by {change} {unit}"
+    place = f"; {where}" if where else ""
+    return f"{row.case} / {row.region}: {moved}, {verdict}{place}"

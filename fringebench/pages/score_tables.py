@@ -1,0 +1,111 @@
+"""Scores and comparisons as tables for the terminal."""
+
+import math
+
+from rich.table import Table
+
+import evaluation
+from evaluation.scoring.error_budget import ErrorBudget
+from fringebench.diagnosis import Diagnosis
+from fringebench.pages.figure_tables import figure_table
+
+
+def fused_title(exposures: int, fusion: str) -> str:
+    """Title of the second score table of a run."""
+    if exposures == 1:
+        return "one exposure, saturated pixels rejected"
+    return f"all {exposures} exposures, fused by {fusion}"
+
+
+def score_rows(score: evaluation.Score) -> list[list[str]]:
+    """One row per region: label, pixels, valid %, then bias, RMS, predicted and p95 in um, outliers in %, render noise."""
+    return [
+        [
+            label,
+            str(region.pixels),
+            number(region.coverage, 100, 1),
+            number(region.bias_mm, 1000, 1),
+            number(region.rms_mm, 1000, 1),
+            number(region.predicted_sd_mm, 1000, 1),
+            number(region.p95_abs_mm, 1000, 1),
+            number(region.outlier_fraction, 100, 2),
+            number(region.render_to_sensor_noise, 1, 2),
+        ]
+        for label, region in score.regions.items()
+    ]
+
+
+def score_table(score: evaluation.Score, title: str) -> Table:
+    """One row per region: share measured, errors, and the standard deviation predicted."""
+    figures = "pixels", "valid %", "bias µm", "RMS µm", "pred. µm", "p95 µm", "outl. %", "rend. ×"
+    return figure_table(title, "region", figures, score_rows(score))
+
+
+def feature_table(score: evaluation.Score) -> Table:
+    """One row per feature: measured, true, difference."""
+    rows = []
+    for label, feature in score.features.items():
+        measured, truth = feature.measured_mm, feature.truth_mm
+        difference = None if measured is None or truth is None else measured - truth
+        rows.append(
+            [label, number(measured, 1, 4), number(truth, 1, 4), number(difference, 1000, 1)]
+        )
+    return figure_table("features", "feature", ("measured mm", "truth mm", "difference µm"), rows)
+
+
+def budget_table(found: ErrorBudget) -> Table:
+    """One row per region and cause: RMS error with this cause alone, and RMS error removed without it."""
+    table = figure_table("error budget, RMS; squares add up", "region", ())
+    table.add_column("cause", no_wrap=True)
+    for name in ("alone µm", "share %", "removed µm", "bias µm", "valid %"):
+        table.add_column(name, justify="right")
+    for label, region in found.regions.items():
+        total = region.total_mm2
+        lines: list[tuple[str, float | None, float | None, float | None, float]] = [
+            (name, share.alone_mm2, share.removed_mm2, share.bias_alone_mm, share.coverage_alone)
+            for name, share in region.causes.items()
+        ]
+        lines += [
+            ("(method itself)", region.ideal_mm2, None, None, 0.0),
+            ("(interaction)", region.interaction_mm2, None, None, 0.0),
+        ]
+        for i, (name, alone, removed, bias, coverage) in enumerate(lines):
+            table.add_row(
+                label if i == 0 else "",
+                name,
+                number(_root(alone), 1000, 2),
+                number(alone / total if alone is not None and total else None, 100, 1),
+                number(_root(removed), 1000, 2),
+                number(bias, 1000, 2),
+                f"{coverage * 100:+.1f}" if coverage else "",
+            )
+        table.add_row(
+            "", "[bold]total[/]", number(_root(total), 1000, 2), "", "", "", number(region.coverage, 100, 1),
+            end_section=True,
+        )  # fmt: skip
+    return table
+
+
+def _root(square: float | None) -> float | None:
+    """Square root of the magnitude, with the sign."""
+    return None if square is None else math.copysign(math.sqrt(abs(square)), square)
+
+
+def doctor_table(diagnosis: Diagnosis) -> Table:
+    """Properties of this machine."""
+    table = Table(show_header=False)
+    table.add_row("Python", diagnosis.python)
+    table.add_row("platform", f"{diagnosis.platform}, {diagnosis.cores} cores")
+    for name, version in diagnosis.packages.items():
+        table.add_row(name, version)
+    table.add_row("backend", f"{diagnosis.backend or 'none'} ({diagnosis.variant or '-'})")
+    table.add_row("CUDA device", "yes" if diagnosis.cuda else "no")
+    llvm = f"{diagnosis.llvm_version} at {diagnosis.llvm_path} ({diagnosis.llvm_origin})"
+    table.add_row("LLVM", llvm if diagnosis.llvm_path else "none")
+    return table
+
+
+def number(value: float | None, scale: float, digits: int) -> str:
+    """A figure times `scale`, with so many digits; a dash for None."""
+    # Adding 0.0 turns a rounded -0.0 into 0.0.
+    return "-" if value is None else f"{round(value * scale, digits) + 0.0:.{digits}f}"

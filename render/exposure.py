@@ -1,0 +1,231 @@
+"""Linear light becomes raw frames: any patterns, sensor and exposures, without tracing again."""
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from render.chip_image import Image
+from render.exposure_time import exposure_times_ms
+from render.pattern_span import channel_weights
+from render.sensor_stages import Floats, LineNoise, Noise, digital_numbers, fixed_pattern
+from render.speckle import speckled
+from render.transport import Transport
+from render.unsteady_light import STEADY, Moment, is_steady, moment
+from render.vibration import height_slope
+from scenes.acquisition.patterns import Patterns
+from scenes.acquisition.sensor import Sensor
+from scenes.files.stack import Stack
+from scenes.rig.devices import Pinhole
+from scenes.rig.projectors import Camera
+from scenes.scene import Exposures, Sampling
+from scenes.scene_files import dumps
+from scenes.support import mapped
+from scenes.support.errors import RenderError, SceneError
+
+# Pixels a thread computes at once: their numbers stay in its cache.
+BLOCK = 1 << 15
+
+
+def expose(
+    transport: Transport,
+    seed: int = 0,
+    sensor: Sensor | None = None,
+    exposures: Exposures | Sequence[float] | None = None,
+    patterns: Patterns | None = None,
+    direct_only: bool = False,
+    noise: bool = True,
+    progress: Callable[[float], None] | None = None,
+    chip_seed: int | None = None,
+    subpixels: int = 1,
+    slope: Transport | None = None,
+    steady: bool | None = None,
+) -> Stack:
+    """Take the pictures: every exposure of every frame of every projector, in the order of `Scene.frames`.
+
+    Parameters
+    ----------
+    transport
+        Traced light, radiance in W/(m^2 sr).
+    seed
+        Seed of the noise, 0 or more. The same seed gives the same stack, whatever the number of threads.
+    sensor, exposures, patterns
+        Replace the scene's; exposures may be times in ms. Patterns must be in the span of the traced ones: any number
+        of steps, any amplitude and any subset of the traced periods is, for a linear projector.
+    direct_only
+        Leave interreflections out. Exposure times stay those of all light, so that nothing else changes.
+    noise
+        False: each sample is its mean and all pixels are alike; clipping and rounding stay.
+    progress
+        Called with the share that is done, from 0 to 1, frame by frame.
+    chip_seed
+        Seed of the sensor's fixed pattern; None: `seed`. Pictures taken with one chip share it.
+    subpixels
+        Traced pixels along each side of a pixel of the sensor, which the frames have: trace at `camera.resolution`
+        times this to blur edges more exactly (`render.point_spread`).
+    slope
+        Of `render.height_slope`, for a scene with `vibration_um`; None: traced here, twice as costly as the transport.
+    steady
+        Leave out vibration, fluctuation, flicker and speckle; None: leave them out without `noise`.
+
+    Returns
+    -------
+    Stack
+        Frames (exposure, frame, row, col) in DN, in the sensor's type. `scene` is the TOML with the replacements above;
+        `exposure_ms` are the times used.
+
+    Raises
+    ------
+    RenderError
+        For patterns outside the span, impossible exposure times or `subpixels`, or seeds below 0.
+    TooLargeError
+        For more frames than memory and disk hold.
+
+    Notes
+    -----
+    Frames of more than a GiB are written to a temporary file as they are made (`scenes.support.mapped`).
+
+    Examples
+    --------
+    >>> import scenes, render
+    >>> transport = render.trace(scenes.load("step", {"camera.resolution": [64, 48]}), samples=2)
+    >>> render.expose(transport, exposures=[1.0, 4.0]).frames.shape
+    (2, 12, 48, 64)
+    """
+    chip_seed = seed if chip_seed is None else chip_seed
+    for name, value in (("seed", seed), ("chip_seed", chip_seed)):
+        if not isinstance(value, (int, np.integer)) or value < 0:
+            raise RenderError(f"{name} = {value!r}: use a whole number, 0 or more")
+    scene = transport.scene
+    scene = scene.model_copy(
+        update={
+            "sensor": sensor or scene.sensor,
+            "patterns": patterns or scene.patterns,
+            "exposures": _exposures(exposures) or scene.exposures,
+            "camera": _coarser(scene.camera, subpixels),
+            "sampling": Sampling(
+                samples=transport.samples, depth=1 if direct_only else transport.depth
+            ),
+        }
+    )
+    shown = [
+        (p, row)
+        for p in range(len(scene.projectors))
+        for row in channel_weights(transport, p, scene.patterns)
+    ]
+    image = Image.of(transport, scene.sensor, subpixels)
+    times_ms = exposure_times_ms(image, transport.labels, shown, scene.exposures, scene.sensor)
+    if direct_only:
+        image = Image.of(transport, scene.sensor, subpixels, direct_only)
+    steady = is_steady(scene) or (not noise if steady is None else steady)
+    if scene.vibration_um and not steady:
+        moving = Image.of(slope or height_slope(transport), scene.sensor, subpixels, direct_only)
+        image = replace(image, slope=moving)
+    if not steady and any(p.speckle_contrast for p in scene.projectors):
+        image = speckled(image, scene, seed)
+    height, width = image.ambient.shape
+    shape = (len(times_ms), len(shown), height * width)
+    frames = mapped.array(
+        shape,
+        scene.sensor.dtype,
+        f"{shape[0]} exposures of {shape[1]} frames of {width} x {height} pixels",
+        "take fewer exposures at a time, or a smaller camera.resolution",
+    )
+    seeds = (seed, chip_seed) if noise else None
+    moments = [
+        [
+            STEADY if steady else moment(scene, seed, e, f, projector, time_ms)
+            for e, time_ms in enumerate(times_ms)
+        ]
+        for f, (projector, _) in enumerate(shown)
+    ]
+    _fill(frames, image, shown, times_ms, scene.sensor, seeds, moments, progress)
+    return Stack(
+        frames.reshape(*shape[:2], height, width),
+        scene.frames,
+        times_ms,
+        scene.sensor,
+        scene.calibration(),
+        dumps(scene),
+        int(seed) if noise else None,
+    )
+
+
+def _fill(
+    frames: NDArray[Any],
+    image: Image,
+    shown: Sequence[tuple[int, Floats]],
+    times_ms: Sequence[float],
+    sensor: Sensor,
+    seeds: tuple[int, int] | None,
+    moments: Sequence[Sequence[Moment]],
+    progress: Callable[[float], None] | None,
+) -> None:
+    """Write digital numbers into `frames` (exposure, frame, pixel).
+
+    `seeds` are (noise, chip), None for no noise; `moments` are (frame, exposure).
+    """
+    count = image.ambient.size
+    chip = None if seeds is None else fixed_pattern(sensor, seeds[1], image.shape)
+
+    def take(frame: int) -> None:
+        streams = [seeds and Noise.of(seeds[0], e, frame) for e in range(len(times_ms))]
+        lines = [
+            seeds and LineNoise.of(sensor, seeds[0], e, frame, image.shape)
+            for e in range(len(times_ms))
+        ]
+        for start in range(0, count, BLOCK):
+            pixels = slice(start, min(start + BLOCK, count))
+            calm = image.radiance(*shown[frame], pixels)
+            for e, (time_ms, stream) in enumerate(zip(times_ms, streams, strict=True)):
+                line = lines[e]
+                now = moments[frame][e]
+                radiance = calm if now == STEADY else image.radiance(*shown[frame], pixels, now)
+                frames[e, frame, pixels] = digital_numbers(
+                    radiance,
+                    time_ms,
+                    sensor,
+                    stream,
+                    chip[pixels] if chip else None,
+                    line[pixels] if line else None,
+                )
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        # NumPy releases the interpreter lock while it draws and computes. The loop re-raises errors.
+        try:
+            for done, _ in enumerate(pool.map(take, range(len(shown))), 1):
+                mapped.release_pages(frames)
+                if progress:
+                    progress(done / len(shown))
+        except BaseException:
+            # After an interrupt the remaining frames are not needed.
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+def _coarser(camera: Camera, subpixels: int) -> Camera:
+    """The camera with that many times fewer pixels and the same field of view."""
+    columns, rows = camera.resolution
+    if subpixels < 1 or columns % subpixels or rows % subpixels:
+        raise RenderError(
+            f"subpixels = {subpixels}: use a whole number that divides the traced camera.resolution {columns} x {rows}"
+        )
+    coarse = {"resolution": (columns // subpixels, rows // subpixels)}
+    if isinstance(camera, Pinhole):
+        coarse["calibrated_at"] = camera.calibrated_at or camera.resolution
+    return camera.model_copy(update=coarse) if subpixels > 1 else camera
+
+
+def _exposures(given: Exposures | Sequence[float] | None) -> Exposures | None:
+    if given is None or isinstance(given, Exposures):
+        return given
+    try:
+        return Exposures(times_ms=tuple(given))
+    except (TypeError, SceneError):
+        raise RenderError(
+            f"exposures = {given!r}: give Exposures or a list of times in ms, each above 0"
+        ) from None

@@ -1,0 +1,293 @@
+"""Truth: what every camera pixel should have measured, from rays through pixel centres to the meshes.
+
+Mitsuba finds which triangle a ray meets, in float32; the point, its normal and its projector pixel are then computed
+from that triangle in float64.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from render.fringe_phasor import white_weights
+from render.light_noise import height_noise_mm
+from render.pathtracer.one_pass import trace
+from render.plugins.scene_translation import geometry
+from render.plugins.shared_surfaces import Surfaces, shared
+from render.plugins.variant import mi, use
+from render.transport import Transport
+from scenes.acquisition.patterns import PhaseShift
+from scenes.files.truth_maps import Truth
+from scenes.rig.projection import Projection
+from scenes.scene import Scene
+from scenes.scene_files import dumps
+from scenes.scene_meshes import Part
+from scenes.shapes.materials import Diffuse
+from scenes.support.errors import RenderError
+from scenes.support.memory import room_for
+
+Points = NDArray[np.float64]
+
+# Pixels computed at once: their float64 numbers stay in the cache, which is twice as fast as a megapixel at once.
+BLOCK = 1 << 15
+# The change of height that slopes are taken over.
+SLOPE_MM = 1e-3
+# Light paths per pixel if the share of direct light has to be traced here.
+SAMPLES = 16
+# Distance from its surface at which a shadow ray starts, in scene radii: 50 times float32's rounding of a coordinate.
+LIFT = 50 * 2.0**-24
+
+
+def truth(
+    scene: Scene, transport: Transport | None = None, surfaces: Surfaces | None = None
+) -> Truth:
+    """Ground truth at every pixel's centre: point, normal, label, and for each projector whether and where it lights it.
+
+    Parameters
+    ----------
+    scene
+        The scene as rendered.
+    transport
+        Traced light of this scene, for `direct_fraction`; None: a small transport (16 paths per pixel, white only) is
+        traced here.
+    surfaces
+        Those of `render.surfaces`, to build the meshes only once.
+
+    Returns
+    -------
+    Truth
+        Maps (row, col) and, per projector, (projector, row, col): mm, projector pixels, labels.
+
+    Raises
+    ------
+    RenderError
+        For a transport of another camera, other projectors or other objects.
+    TooLargeError
+        For more pixels than memory holds.
+
+    Notes
+    -----
+    A camera or projector with a lens is represented by the centre of its pupil. `lit` is true if a point is inside the
+    projector's image, the side seen by the camera faces the projector, and no triangle is between. Normals are those of
+    the triangles, also where shading is smooth.
+
+    `direct_fraction` is a mean over the pixel's area, not its value at the centre, and is as noisy as the light it
+    comes from. The transport of a projector with gamma or quantised values has no white channel; the nearest
+    combination of its patterns is used instead.
+
+    Examples
+    --------
+    >>> import scenes, render
+    >>> truth = render.truth(scenes.load("step", {"camera.resolution": [64, 48]}))
+    >>> truth.height_mm.shape
+    (48, 64)
+    """
+    use()
+    surfaces = shared(scene, surfaces)
+    if transport is None:
+        transport = trace(_white(scene), samples=SAMPLES, surfaces=surfaces)
+    elif not _same_light(scene, transport.scene):
+        raise RenderError(
+            "the transport was traced from another scene (its camera, projectors or objects differ): "
+            "trace this scene, or give no transport"
+        )
+    surface = _Surface.of(scene, surfaces.parts)
+    camera = scene.camera.projection()
+    projectors = [projector.projection() for projector in scene.projectors]
+    with room_for(
+        (60 + 29 * len(projectors)) * camera.width * camera.height,
+        f"the truth of {camera.width} x {camera.height} pixels",
+        "lower camera.resolution",
+    ):
+        return _truth(scene, surface, camera, projectors, transport)
+
+
+def _truth(
+    scene: Scene,
+    surface: "_Surface",
+    camera: Projection,
+    projectors: Sequence[Projection],
+    transport: Transport,
+) -> Truth:
+    pixels = camera.pixel_centres().reshape(-1, 2)
+    count, shape = len(pixels), (camera.height, camera.width)
+
+    xyz = np.full((count, 3), np.nan, np.float32)
+    normal = np.full((count, 3), np.nan, np.float32)
+    label = np.zeros(count, np.uint16)
+    pad, material = np.zeros(count, np.uint32), np.zeros(count, np.uint16)
+    lit = np.zeros((len(projectors), count), np.bool_)
+    image = np.full((2, len(projectors), count), np.nan, np.float32)
+    px_per_mm = np.full_like(image, np.nan)
+    for start in range(0, count, BLOCK):
+        origin, direction = camera.rays(pixels[start : start + BLOCK])
+        triangle = surface.first_hit(origin, direction)
+        hit = np.flatnonzero(triangle >= 0)
+        triangle, at = triangle[hit], start + hit
+        point, facing = surface.meet(triangle, origin[hit], direction[hit])
+        xyz[at], normal[at], label[at] = point, facing, surface.label[triangle]
+        pad[at], material[at] = surface.pad[triangle], surface.material[triangle]
+        for p, projection in enumerate(projectors):
+            where, _ = projection.project(point)
+            image[:, p, at] = where.T
+            # Where the pixel's ray is a little higher.
+            step = SLOPE_MM / direction[hit][:, 2:]
+            px_per_mm[:, p, at] = (
+                projection.project(point + step * direction[hit])[0] - where
+            ).T / SLOPE_MM
+            lit[p, at] = surface.lit(point, facing, where, projection)
+    label = label.reshape(shape)
+    return Truth(
+        xyz.reshape(*shape, 3),
+        normal.reshape(*shape, 3),
+        label,
+        scene.labels,
+        lit.reshape(-1, *shape),
+        image[0].reshape(-1, *shape),
+        image[1].reshape(-1, *shape),
+        _direct_fraction(transport, label > 0),
+        dumps(scene),
+        pad.reshape(shape) if scene.board else None,
+        material.reshape(shape),
+        surface.materials,
+        height_noise_mm(transport, px_per_mm.reshape(2, -1, *shape)),
+    )
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """All objects as one mesh."""
+
+    corners: Points
+    """(triangle, 3, 3) world mm."""
+    label: NDArray[np.uint16]
+    """Label id of each triangle; `pad` and `material` likewise."""
+    pad: NDArray[np.uint32]
+    material: NDArray[np.uint16]
+    materials: tuple[str, ...]
+    centre: Points
+    radius: float
+    """Bounding-sphere radius, mm."""
+    scene: Any
+    """Mitsuba's scene of the same mesh, moved to the origin."""
+
+    @classmethod
+    def of(cls, scene: Scene, surfaces: Sequence[Part]) -> "_Surface":
+        ids = [scene.labels.index(part.label) + 1 for part in surfaces]
+        counts = [len(part.mesh.faces) for part in surfaces]
+        pads = [
+            np.zeros(n, np.uint32) if part.face_pad is None else part.face_pad.astype(np.uint32)
+            for part, n in zip(surfaces, counts, strict=True)
+        ]
+        materials = tuple(dict.fromkeys(part.material_name for part in surfaces))
+        made_of = [materials.index(part.material_name) + 1 for part in surfaces]
+        # One shape, so that Mitsuba's triangle numbers are the mesh's; at the origin, where float32 is finest.
+        vertices = np.concatenate([np.asarray(part.mesh.vertices) for part in surfaces])
+        first = np.cumsum([0, *(len(part.mesh.vertices) for part in surfaces)])
+        faces = np.concatenate(
+            [part.mesh.faces + n for part, n in zip(surfaces, first, strict=False)]
+        )
+        corners = vertices[faces]
+        low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+        centre = (low + high) / 2
+        mesh = trimesh.Trimesh(vertices - centre, faces, process=False)
+        whole = Part("", mesh, Diffuse(reflectance=0.5), smooth=False)
+        return cls(
+            corners,
+            np.repeat(ids, counts).astype(np.uint16),
+            np.concatenate(pads),
+            np.repeat(made_of, counts).astype(np.uint16),
+            materials,
+            centre,
+            float(np.linalg.norm(high - low)) / 2,
+            mi.load_dict(geometry([whole])),
+        )
+
+    def first_hit(self, origin: Points, direction: Points) -> NDArray[np.int64]:
+        """Number of the triangle each ray meets first, -1 for none."""
+        # Rays start close to the scene, because float32 is coarse at a distant camera.
+        ahead = ((self.centre - origin) * direction).sum(axis=-1, keepdims=True)
+        skip = np.maximum(ahead - 1.01 * self.radius, 0.0)
+        ray = mi.Ray3f(self._local(origin + skip * direction), _vector(direction))
+        hit = self.scene.ray_intersect_preliminary(ray, coherent=True)
+        index: NDArray[np.int64] = np.where(
+            hit.is_valid().numpy(), hit.prim_index.numpy().astype(np.int64), -1
+        )
+        return index
+
+    def meet(
+        self, triangle: NDArray[np.int64], origin: Points, direction: Points
+    ) -> tuple[Points, Points]:
+        """Points where rays meet their triangles' planes, and unit normals facing the rays' origins."""
+        a, b, c = np.moveaxis(self.corners[triangle], 1, 0)
+        normal = np.cross(b - a, c - a)
+        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+        slope = (normal * direction).sum(axis=-1, keepdims=True)
+        distance = (normal * (a - origin)).sum(axis=-1, keepdims=True) / slope
+        return origin + distance * direction, np.where(slope > 0, -normal, normal)
+
+    def lit(
+        self, point: Points, normal: Points, pixel: Points, projector: Projection
+    ) -> NDArray[np.bool_]:
+        """Whether a projector's light reaches points on the side of their normals."""
+        if projector.telecentric:
+            depth = point @ projector.axis + projector.t[2]
+            towards = -depth[:, None] * projector.axis
+        else:
+            depth = np.ones(len(point))
+            towards = projector.origin_mm - point
+        with np.errstate(invalid="ignore"):
+            inside = ((pixel >= 0) & (pixel < (projector.width, projector.height))).all(axis=-1)
+        reached: NDArray[np.bool_] = inside & (depth > 0) & ((normal * towards).sum(axis=-1) > 0)
+        if not reached.any():
+            # Mitsuba aborts the process if it gets no rays at all.
+            return reached
+        distance = np.linalg.norm(towards[reached], axis=-1)
+        # Nothing behind the projector casts a shadow, nor does anything outside the scene's bounding sphere.
+        ray = mi.Ray3f(
+            self._local(point[reached] + LIFT * self.radius * normal[reached]),
+            _vector(towards[reached] / distance[:, None]),
+            mi.Float(np.minimum(distance, 2.1 * self.radius).astype(np.float32)),
+            0,
+            [],
+        )
+        reached[reached] = ~self.scene.ray_test(ray).numpy()
+        return reached
+
+    def _local(self, point: Points) -> Any:
+        return _vector(point - self.centre)
+
+
+def _vector(array: Points) -> Any:
+    return mi.Vector3f(np.ascontiguousarray(array.T, dtype=np.float32))
+
+
+def _direct_fraction(transport: Transport, hit: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """(projector, row, col) share of direct light under white."""
+    shares = []
+    for p, basis in enumerate(transport.bases):
+        white, count = white_weights(basis), len(basis.channels)
+        total = np.tensordot(white, transport.total[p, :count], axes=1)
+        direct = np.tensordot(white, transport.direct[p, :count], axes=1)
+        bright = hit & (total > 0)
+        share = np.full(hit.shape, np.nan, np.float32)
+        share[bright] = np.clip(direct[bright] / total[bright], 0.0, 1.0)
+        shares.append(share)
+    return np.stack(shares)
+
+
+def _white(scene: Scene) -> Scene:
+    """The scene with the fewest channels among which is white."""
+    linear = [
+        p.model_copy(update={"gamma": 1.0, "bits": 0, "pixels": False}) for p in scene.projectors
+    ]
+    wide = PhaseShift(steps=3, periods_px=(1e6,))
+    return scene.model_copy(update={"projectors": tuple(linear), "patterns": wide})
+
+
+def _same_light(scene: Scene, other: Scene) -> bool:
+    keys = ("camera", "projectors", "objects", "board", "materials")
+    return all(getattr(scene, key) == getattr(other, key) for key in keys)

@@ -1,0 +1,180 @@
+"""Noise of light paths compared with the noise of the scene's sensor, in the phase of the finest fringe.
+
+No real camera has the first; a simulation is good enough once it is well below the second.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from render.chip_image import Image
+from render.exposure_time import exposure_times_ms
+from render.fringe_phasor import FinestFringe, finest_fringes, measuring_axis
+from render.point_spread import blurred, spread_kernel
+from render.transport import Transport
+from scenes.acquisition.fringe_fit import STRAY_FRACTION
+
+Floats = NDArray[np.float64]
+
+# Above this the decoder rejects a pixel as dark: eight standard deviations of noise in its modulation.
+MOST_SENSOR_NOISE_RAD = 1 / 8
+# Where no exposure is free of saturation, pixels that miss the limit by this share of the decoder's slack count, too.
+SATURATION_SLACK = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class SensorNoise:
+    """What the sensor adds to the phase that measures height, with the longest exposure that saturates no frame."""
+
+    phase_rad: Floats
+    """(row, col) standard deviation, of the projector that has the smallest; NaN where none can be measured."""
+    projector: NDArray[np.intp]
+    """(row, col) number of that projector."""
+    fringe: tuple[int, ...]
+    """Of each projector, the number of its measuring axis among `finest_fringes`."""
+
+
+def sensor_noise(transport: Transport, slack: float = 1.0) -> SensorNoise | None:
+    """Noise of the scene's own sensor and exposures on this light; None for patterns without fringes.
+
+    `slack` above 1 also takes in pixels that miss the decoder's limits by that factor.
+
+    Raises `RenderError` where the exposure time cannot be found.
+    """
+    fringes = finest_fringes(transport.scene.patterns, transport.bases)
+    if not fringes:
+        return None
+    image = Image.of(transport, transport.scene.sensor)
+    scene = transport.scene
+    shown = [(p, row) for p, basis in enumerate(transport.bases) for row in basis.weights]
+    times = exposure_times_ms(image, transport.labels, shown, scene.exposures, scene.sensor)
+    axes = [fringe.axis for fringe in fringes]
+    measuring = tuple(measuring_axis(transport.scene, axes, p) for p in range(len(transport.bases)))
+    noise = np.stack(
+        [
+            _phase_noise(transport, image, p, fringes[f], times, slack)
+            for p, f in enumerate(measuring)
+        ]
+    )
+    best = np.argmin(noise, axis=0)
+    smallest = np.take_along_axis(noise, best[None], axis=0)[0]
+    smallest[~(smallest < slack * MOST_SENSOR_NOISE_RAD)] = np.nan
+    return SensorNoise(smallest, best, measuring)
+
+
+def _phase_noise(
+    transport: Transport,
+    image: Image,
+    projector: int,
+    fringe: FinestFringe,
+    times_ms: tuple[float, ...],
+    slack: float,
+) -> Floats:
+    """(row, col) standard deviation of one projector's phase, rad; infinite where it cannot be measured."""
+    sensor = transport.scene.sensor
+    basis = transport.bases[projector]
+    weights = basis.weights[list(fringe.frames)]
+    channels = image.light[projector, : len(basis.channels)]
+    radiance = np.einsum("fc,c...->f...", weights.astype(np.float32), channels) + image.ambient
+    result = np.full(image.ambient.shape, np.inf)
+    cosine, sine = fringe.phasor(channels, projector)
+    modulation = np.hypot(cosine, sine)
+    shows = modulation > 0.0
+    if not shows.any():
+        return result
+    shows &= modulation >= STRAY_FRACTION / slack * np.median(modulation[shows])
+    cosine, sine, modulation = cosine[shows], sine[shows], modulation[shows]
+    found = np.full(modulation.shape, np.inf)
+    radiance = radiance[:, shows].astype(np.float64)
+    # d phase / d sample, times the modulation.
+    along = (
+        np.multiply.outer(fringe.solve[1], cosine) - np.multiply.outer(fringe.solve[0], sine)
+    ) / modulation
+    for number, time_ms in enumerate(sorted(times_ms)):
+        mean = sensor.mean_dn(radiance, time_ms)
+        gain = float(sensor.mean_dn(1.0, time_ms) - sensor.mean_dn(0.0, time_ms))
+        variance = (along**2 * sensor.variance_dn2(mean, time_ms)).sum(axis=0)
+        noise = np.sqrt(variance) / (gain * modulation)
+        most = sensor.saturation_dn * (1.0 if number else 1.0 + SATURATION_SLACK * (slack - 1.0))
+        good = mean.max(axis=0) < most
+        found[good] = noise[good]
+    result[shows] = found
+    return result
+
+
+def render_to_sensor_noise(transport: Transport, lit: NDArray[np.bool_]) -> Mapping[str, float]:
+    """Root mean square of the light paths' noise over that of the sensor, by label, over `lit` pixels (row, col).
+
+    Labels without a pixel that can be measured are left out, as is everything if the noise of light is not known.
+    """
+    noise = None if transport.noise_rad is None else sensor_noise(transport)
+    if noise is None:
+        return {}
+    assert transport.noise_rad is not None
+    own = chosen(on_chip(transport), noise)
+    known = lit & np.isfinite(noise.phase_rad) & np.isfinite(own)
+    ratios = {}
+    for number, label in enumerate(transport.labels, 1):
+        at = known & (transport.label == number)
+        if at.any():
+            square = np.mean(own[at] ** 2) / np.mean(noise.phase_rad[at] ** 2)
+            ratios[label] = float(np.sqrt(square))
+    return ratios
+
+
+def chosen(images: NDArray[np.floating], noise: SensorNoise) -> Floats:
+    """(row, col) of images (fringe, projector, row, col): of the projector and the axis that measure each pixel."""
+    own = np.stack([images[fringe, p] for p, fringe in enumerate(noise.fringe)])
+    picked: Floats = np.take_along_axis(own, noise.projector[None], axis=0)[0].astype(np.float64)
+    return picked
+
+
+def on_chip(transport: Transport) -> NDArray[np.float32]:
+    """The transport's `noise_rad` behind the sensor's lens, whose blur averages the noise of neighbours."""
+    assert transport.noise_rad is not None
+    kernel = spread_kernel(transport.scene.sensor)
+    if kernel is None:
+        return transport.noise_rad
+    seen = Image.of(transport, transport.scene.sensor).light
+    result = np.empty_like(transport.noise_rad)
+    for f, fringe in enumerate(finest_fringes(transport.scene.patterns, transport.bases)):
+        for p, basis in enumerate(transport.bases):
+            count = slice(len(basis.channels))
+            sharp, soft = (
+                (fringe.phasor(light[p, count], p) ** 2).sum(axis=0)
+                for light in (transport.total, seen)
+            )
+            noise = np.nan_to_num(transport.noise_rad[f, p].astype(np.float64) ** 2 * sharp)
+            spread = blurred(noise.astype(np.float32), kernel**2)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                result[f, p] = np.sqrt(np.maximum(spread, 0.0) / soft)
+    return result
+
+
+def height_noise_mm(
+    transport: Transport, px_per_mm: NDArray[np.float32]
+) -> NDArray[np.float32] | None:
+    """Standard deviation of height from light paths alone, mm (row, col), of the projector that modulates a pixel most.
+
+    `px_per_mm` is how far a projector's column and row move per height along the pixel's ray, (axis, projector, row, col).
+    None if the noise is not known.
+    """
+    fringes = finest_fringes(transport.scene.patterns, transport.bases)
+    if transport.noise_rad is None or not fringes:
+        return None
+    noise = on_chip(transport)
+    axes = [fringe.axis for fringe in fringes]
+    heights, power = [], []
+    for p, basis in enumerate(transport.bases):
+        chosen_axis = measuring_axis(transport.scene, axes, p)
+        fringe = fringes[chosen_axis]
+        slope = px_per_mm[("column", "row").index(fringe.axis), p]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            heights.append(noise[chosen_axis, p] * fringe.period_px / (2.0 * np.pi * np.abs(slope)))
+        channels = transport.total[p, : len(basis.channels)]
+        power.append((fringe.phasor(channels, p) ** 2).sum(axis=0))
+    best = np.argmax(power, axis=0)[None]
+    picked: NDArray[np.float32] = np.take_along_axis(np.stack(heights), best, axis=0)[0]
+    return picked.astype(np.float32)

@@ -1,0 +1,79 @@
+"""Low-discrepancy random numbers that are unbiased, seeded, and need no state.
+
+Pairs of Owen-scrambled Sobol points (Sobol 1967; Owen 1995), the scrambling by a hash of bit-reversed digits (Laine
+and Karras 2011; Burley 2020, JCGT 9(4); constants by Vegdahl 2021). Every pair of dimensions of every pixel has its
+own scrambling and its own order of points, so pairs are independent of each other and each is stratified over a
+pixel's samples.
+"""
+
+from typing import Any
+
+from render.plugins.variant import dr, mi
+
+
+def stream(seed: int, pixel: Any) -> Any:
+    """Key of a pixel's random numbers (UInt32) from the seed and the pixel's index."""
+    return _hash(_hash(dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)) ^ pixel)
+
+
+def block(key: Any, number: Any) -> Any:
+    """Key of one of a pixel's independent blocks of samples, by its number (UInt32)."""
+    return _hash(key ^ _hash(number + mi.UInt32(0x7F4A7C15)))
+
+
+def point(key: Any, dimension: Any, index: Any) -> Any:
+    """Sample `index` (UInt32) of a stream's pair of dimensions number `dimension`: a Point2f in [0, 1)."""
+    key = _hash(key + dimension * mi.UInt32(0x9E3779B9))
+    # The points' order is itself scrambled, else all pairs would walk the square in step.
+    index = dr.brev(_laine_karras(dr.brev(index), key))
+    x = dr.brev(_laine_karras(index, _hash(key ^ 0xA511E9B3)))
+    y = dr.brev(_laine_karras(_sobol(index), _hash(key ^ 0x63D83595)))
+    return mi.Point2f(_unit(x), _unit(y))
+
+
+def pixel_point(key: Any, index: Any) -> Any:
+    """Place of sample `index` in its pixel, a Point2f in [0, 1): pairs lie opposite about the centre.
+
+    What varies linearly across a pixel then averages to its value at the centre, which random places do not do; each
+    place alone is uniform, so edges inside a pixel are weighed without bias.
+    """
+    place = point(key, mi.UInt32(0), index >> 1)
+    mirrored = (index & 1) == 1
+    # 1 - x, kept below 1.
+    return dr.select(mirrored, dr.minimum(1 - place, ONE_BELOW), place)
+
+
+ONE_BELOW = 1 - 2.0**-24
+
+
+def _sobol(index: Any) -> Any:
+    """Second Sobol dimension, bit-reversed: Pascal's triangle modulo 2 applied to the index's bits."""
+    for shift, mask in (
+        (16, 0xFFFFFFFF),
+        (8, 0xFF00FF00),
+        (4, 0xF0F0F0F0),
+        (2, 0xCCCCCCCC),
+        (1, 0xAAAAAAAA),
+    ):
+        index = index ^ ((index & mi.UInt32(mask)) >> shift)
+    return index
+
+
+def _laine_karras(x: Any, key: Any) -> Any:
+    """Owen scrambling of bit-reversed digits: each bit is flipped by a hash of the bits below it."""
+    x = x ^ (x * mi.UInt32(0x3D20ADEA))
+    x = x + key
+    x = x * ((key >> 16) | 1)
+    x = x ^ (x * mi.UInt32(0x05526C56))
+    return x ^ (x * mi.UInt32(0x53A22864))
+
+
+def _hash(x: Any) -> Any:
+    """Well-mixed 32 bits (Ellis's lowbias32)."""
+    x = (x ^ (x >> 16)) * mi.UInt32(0x7FEB352D)
+    x = (x ^ (x >> 15)) * mi.UInt32(0x846CA68B)
+    return x ^ (x >> 16)
+
+
+def _unit(x: Any) -> Any:
+    return mi.Float(x >> 8) * 2.0**-24

@@ -1,0 +1,1 @@
+"""A scene in Mitsuba's terms: camera and projector plugins, surfaces, the variant in use."""

@@ -1,0 +1,101 @@
+"""Light of a projector at a point: irradiance of white, and the values of the pattern's basis channels."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from render.plugins.lens import Optics
+from render.plugins.variant import dr, mi
+from scenes.acquisition.pattern_basis import Channel
+from scenes.acquisition.projector_pixels import across
+from scenes.rig.projectors import PinholeProjector, Projector
+
+
+class Light:
+    """A projector's light for the variant in use.
+
+    On a plane perpendicular to the axis the irradiance of white is ``E0 (reference / z)^2`` (pinhole) or ``E0``
+    (telecentric), uniform across the plane. Cosine and sine of one fringe come from one `sincos`.
+    """
+
+    def __init__(self, projector: Projector, optics: Optics, channels: Sequence[Channel]) -> None:
+        self.optics = optics
+        self.vignetting = None if projector.even else projector.relative_illumination
+        strength = projector.irradiance_w_m2
+        if isinstance(projector, PinholeProjector):
+            strength *= projector.reference_mm**2
+        self.strength = dr.opaque(mi.Float, strength)
+        self.channels = tuple(channels)
+        self.periods = {
+            (c.axis, c.period_px): dr.opaque(mi.Float, c.period_px)
+            for c in channels
+            if c.kind in ("cos", "sin")
+        }
+        self.tables = [
+            mi.Float(np.asarray(c.values, dtype=np.float32)) if c.kind == "table" else None
+            for c in channels
+        ]
+        comb = across(projector)
+        self.comb = None if comb is None else mi.Float(comb.astype(np.float32))
+        dr.eval(self.tables, self.comb)
+
+    def connect(self, point: Any, lens_sample: Any) -> tuple[Any, Any, Any, Any]:
+        """Light that reaches a world point, without regard to shadows.
+
+        Returns the world point it comes from, the irradiance of white in W/m^2 on a surface facing that point, the
+        continuous projector pixel, and whether that pixel exists.
+        """
+        local = self.optics.to_local(point)
+        source = self.optics.light_source(local, lens_sample)
+        irradiance, pixel, lit = self.response(local, source)
+        return self.optics.to_world(source), irradiance, pixel, lit
+
+    def response(self, local: Any, source: Any) -> tuple[Any, Any, Any]:
+        """Irradiance of white, pixel, and whether it exists, for a point and a source in the projector's frame."""
+        pixel, lit = self.optics.pixel(local, source)
+        cosine = local.z / dr.norm(local - source)
+        irradiance = self.strength / cosine
+        if not self.optics.telecentric:
+            irradiance /= dr.square(local.z)
+        if self.vignetting is not None:
+            irradiance *= self.vignetting(pixel.x, pixel.y)
+        return irradiance, pixel, lit
+
+    def channel_values(self, pixel: Any, active: Any) -> list[Any]:
+        """Each basis channel's value at a continuous projector pixel."""
+        along = {"column": pixel.x, "row": pixel.y}
+        waves = {}
+        for key, period in self.periods.items():
+            u = along[key[0]]
+            # Whole fringes are subtracted first, with one rounding, so that the phase keeps float32's digits.
+            rest = dr.fma(-period, dr.round(u / period), u)
+            waves[key] = dr.sincos(2 * dr.pi * rest / period)
+        values = []
+        for channel, table in zip(self.channels, self.tables, strict=True):
+            if channel.kind == "one":
+                values.append(mi.Float(1))
+            elif channel.kind == "table":
+                value = _read(table, along[channel.axis], channel.cells, active)
+                if self.comb is not None:
+                    u = along["row" if channel.axis == "column" else "column"]
+                    value *= _read(self.comb, u - dr.floor(u), channel.cells, active, wrap=True)
+                values.append(value)
+            else:
+                values.append(waves[channel.axis, channel.period_px][channel.kind == "cos"])
+        return values
+
+
+def _read(table: Any, pixel: Any, cells: int, active: Any, wrap: bool = False) -> Any:
+    """A table's value at a continuous pixel: that of its cell, or linear between the centres of several per pixel."""
+    last = len(table) - 1
+
+    def at(index: Any) -> Any:
+        inside = dr.select(index < 0, last, dr.select(index > last, 0, index)) if wrap else index
+        return dr.gather(mi.Float, table, mi.UInt32(dr.clip(inside, 0, last)), active)
+
+    if cells == 1:
+        return at(mi.Int32(dr.floor(pixel)))
+    place = pixel * cells - 0.5
+    left = dr.floor(place)
+    return dr.lerp(at(mi.Int32(left)), at(mi.Int32(left) + 1), place - left)

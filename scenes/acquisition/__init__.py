@@ -1,0 +1,1 @@
+"""How images are taken: patterns, their basis, and the sensor."""

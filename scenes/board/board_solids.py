@@ -1,0 +1,106 @@
+"""A board and its paste as renderable meshes: one per material, with the pad that every triangle belongs to.
+
+Hundreds of separate shapes would slow a renderer down; a number per triangle identifies the deposit instead.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenes.board.board import CONTAMINATION, Board
+from scenes.board.printing import Bridge, Print, printed
+from scenes.board.surface import surfaces
+from scenes.board.warp import FACE_MM, WarpedPlane
+from scenes.shapes.heightfield import Heightfield
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+# Paste covers the pad and its surroundings: its walls run down to the laminate, moved inwards by this much so that they
+# never coincide with the wall of a pad or of a mask opening.
+UNDERCUT_MM = 0.002
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """Triangles of one label and material, world mm."""
+
+    label: str
+    material: str
+    vertices: Floats
+    """(vertex, 3), world mm."""
+    faces: Ints
+    """(face, 3) indices of vertices."""
+    pad: NDArray[np.int32]
+    """(face,) pad id, 0 for none."""
+    smooth: bool
+
+
+def bodies(board: Board) -> tuple[Body, ...]:
+    """Everything of a board that can be seen, in the order of its labels."""
+    print_ = printed(board)
+    warp, parts = print_.warp, tuple(_bodies(board, print_))
+    if warp == WarpedPlane():
+        return parts
+    rise = [np.column_stack([np.zeros((len(b.vertices), 2)), warp.z_mm(b.vertices)]) for b in parts]
+    return tuple(replace(b, vertices=b.vertices + up) for b, up in zip(parts, rise, strict=True))
+
+
+def _bodies(board: Board, print_: Print) -> Iterable[Body]:
+    layers, paste = board.layers, board.paste
+    materials = {
+        "base": layers.laminate_material,
+        "mask": layers.mask_material,
+        "pad": layers.pad_material,
+    }
+    x, y = print_.layout.centre_mm
+    face_mm = FACE_MM if print_.warp.curvature_per_mm else None
+    for label, surface in surfaces(print_.layout, print_.stackup, face_mm).items():
+        world = surface.vertices - np.array([x, y, 0.0])
+        yield Body(
+            label, materials[label], world, surface.faces, surface.pad.astype(np.int32), False
+        )
+    base = print_.stackup.pad_mm
+    fields = [(d.field, _same(d.pad.id, d.field)) for d in print_.deposits if d.field]
+    fields += [(d.tail, _same(d.pad.id, d.tail)) for d in print_.deposits if d.tail]
+    fields += [(b.field, _halves(b, b.field)) for b in print_.bridges if b.field]
+    smooth = paste.texture == "smooth"
+    if fields:
+        yield _shells("paste", paste.material, fields, base, smooth)
+    specks = [(d.speck, _same(d.pad.id, d.speck)) for d in print_.deposits if d.speck]
+    if specks:
+        yield _shells(CONTAMINATION, board.defects.contamination.material, specks, base, False)
+
+
+def _shells(
+    label: str, material: str, fields: list[tuple[Heightfield, Ints]], base_mm: float, smooth: bool
+) -> Body:
+    vertices, faces, pads, count = [], [], [], 0
+    for field, top in fields:
+        v, f = field.shell(base_mm, 0.0, UNDERCUT_MM)
+        pads.append(np.concatenate([top, np.full(len(f) - len(top), top[0])]))
+        vertices.append(v)
+        faces.append(f + count)
+        count += len(v)
+    return Body(
+        label,
+        material,
+        np.concatenate(vertices),
+        np.concatenate(faces),
+        np.concatenate(pads).astype(np.int32),
+        smooth,
+    )
+
+
+def _same(pad: int, field: Heightfield) -> Ints:
+    return np.full(len(field.faces), pad, dtype=np.int64)
+
+
+def _halves(bridge: Bridge, field: Heightfield) -> Ints:
+    """A bridge's triangles, each of the pad whose end is nearer."""
+    centre = field.xy_mm[field.faces].mean(axis=1)
+    a, b = bridge.ends_mm
+    nearer = np.linalg.norm(centre - a, axis=1) <= np.linalg.norm(centre - b, axis=1)
+    return np.where(nearer, *bridge.pads).astype(np.int64)

@@ -1,0 +1,1 @@
+"""Files that rooms exchange: EXR stacks and truth maps, and captures of real images."""

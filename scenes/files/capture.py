@@ -1,0 +1,223 @@
+"""A real capture: image files, and a manifest that says what each one shows.
+
+The manifest is TOML::
+
+    files = ["pat*.png"]                  # in the order shown; names or globs, relative to the manifest
+    projector_resolution = [1920, 1080]
+    frames = [
+      {kind = "fringes", axis = "column", period_px = 100.0, steps = 3, first_phase_deg = -120.0, origin_px = 0.5},
+      {kind = "gray", axis = "column", bits = 5, cell_px = 100.0},
+      {kind = "white"},
+      {kind = "black"},
+    ]
+
+`Capture.load` reads it, `imported` the images. What the frames contradict is found by `decode.checks`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isclose
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import numpy as np
+from pydantic import Field, NonNegativeFloat, PositiveFloat, ValidationError, model_validator
+
+from scenes.acquisition.patterns import Frame
+from scenes.acquisition.sensor import Sensor, SimpleSensor
+from scenes.files import images
+from scenes.files.capture_frames import Fringes, Shown, SkippedImages, nearest_kind
+from scenes.files.digital_range import DigitalRange
+from scenes.files.stack import Stack
+from scenes.rig import opencv_calibration
+from scenes.rig.calibration import Calibration
+from scenes.rig.devices import Resolution
+from scenes.support.errors import FileError
+from scenes.support.finding import Finding
+from scenes.support.frozen import Frozen
+from scenes.support.safe_parse import parse_toml
+from scenes.support.validation_words import first_lines, mistakes
+
+Channels = images.ImageChannel | Annotated[tuple[images.ImageChannel, ...], Field(min_length=1)]
+# Periods of one axis that differ by less are one period, written with other digits.
+SAME_PERIOD = 1e-6
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A capture as it was read."""
+
+    stack: Stack
+    findings: tuple[Finding, ...]
+    """What was found in the files themselves."""
+
+
+class Capture(Frozen):
+    """A manifest: how image files become a `Stack`."""
+
+    files: Annotated[tuple[str, ...], Field(min_length=1)]
+    """Names or globs, relative to the manifest's folder, in the order shown; a glob's matches in natural order. They may be
+    in several folders: ``["left/*.png", "right/*.png"]``."""
+    folder: Path = Path()
+    """Folder of the files, relative to the manifest's."""
+    frames: Annotated[tuple[Shown, ...], Field(min_length=1)]
+    """What the frames show, in order."""
+    exposures_ms: Annotated[tuple[PositiveFloat, ...], Field(min_length=1)] = (1.0,)
+    """Exposure times; several: all frames at the first time, then all at the next. For one time and several brightnesses of
+    the projector, give the relative brightnesses."""
+    exposures_innermost: bool = False
+    """Every exposure of a frame comes before the next frame."""
+    channel: Channels = "grey"
+    """Colour plane that is the frame; a list: each file holds that many frames, one a plane, in this order."""
+    bits: Annotated[int, Field(ge=8, le=16)] = 8
+    """Bits of a digital number, as the camera gives it."""
+    saturation_dn: PositiveFloat | None = None
+    """From here up a sample is saturated; absent: where samples accumulate, else the end of the range."""
+    dark_dn: NonNegativeFloat = 0.0
+    """Digital number of no light."""
+    noise_dn: PositiveFloat | None = None
+    """Standard deviation of the noise; absent: estimated from the frames."""
+    projector_resolution: Resolution | None = None
+    """Columns, rows of the projector; absent: the calibration's."""
+    gamma: Annotated[float, Field(ge=0.2, le=5.0)] | None = None
+    """Gamma of projector and camera, which decoding undoes; absent: `fringebench import` measures it."""
+    calibration: opencv_calibration.Source | None = None
+    """OpenCV's files."""
+    rig: Calibration | None = None
+    """The rig in this project's own form, as `fringebench export` writes it; instead of `calibration`."""
+    sensor: Sensor | None = None
+    """The whole noise model, as `fringebench export` writes it; instead of `saturation_dn`, `dark_dn` and `noise_dn`."""
+
+    @model_validator(mode="after")
+    def _one_rig(self) -> Self:
+        if self.calibration is not None and self.rig is not None:
+            raise ValueError("both calibration and rig are given: keep one of them")
+        return self
+
+    @model_validator(mode="after")
+    def _sets_are_told_apart(self) -> Self:
+        sets = [(i, shown) for i, shown in enumerate(self.frames) if isinstance(shown, Fringes)]
+        for n, (j, later) in enumerate(sets):
+            for i, first in sets[:n]:
+                same = first.axis == later.axis and isclose(
+                    first.period_px, later.period_px, rel_tol=SAME_PERIOD
+                )
+                if same and not later.repeat:
+                    raise ValueError(
+                        f"frames.{i} and frames.{j} are both {first.axis} fringes of {first.period_px:g} px and would be "
+                        f"fitted as one set of {first.steps + later.steps} steps: correct axis or period_px, or set "
+                        f"repeat = true in frames.{j} if the same fringes are shown again; other brightnesses or exposure "
+                        "times of the same set belong in exposures_ms"
+                    )
+                if same and first.period_px != later.period_px:
+                    raise ValueError(
+                        f"frames.{j} repeats the fringes of frames.{i}: give both the same period_px"
+                    )
+        return self
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a manifest (TOML); paths in it are relative to its folder. `FileError` names the nearest valid key or
+        value.
+        """
+        source = Path(path)
+        try:
+            tree = parse_toml(source.read_text("utf-8"))
+        except (OSError, ValueError) as error:
+            raise FileError(f"manifest '{source}' cannot be read: {error}") from error
+        try:
+            capture = cls.model_validate(tree)
+        except ValidationError as error:
+            hint = nearest_kind(tree)
+            lines = [f"manifest '{source}': {m.message}" for m in mistakes(error, cls, tree)]
+            raise FileError(
+                f"manifest '{source}': {hint}" if hint else first_lines(lines)
+            ) from None
+        base = source.resolve().parent
+        placed: dict[str, Any] = {"folder": base / capture.folder}
+        if capture.calibration:
+            files = tuple(base / file for file in capture.calibration.files)
+            placed["calibration"] = capture.calibration.model_copy(update={"files": files})
+        return capture.model_copy(update=placed)
+
+    @property
+    def patterns(self) -> tuple[Frame, ...]:
+        """What each frame of the measurement shows."""
+        return tuple(frame for shown in self.frames for frame in shown.frames())
+
+    def planes(self) -> list[list[images.Plane]]:
+        """File and channel by exposure and frame. Raises `FileError` if there are too many or too few files."""
+        channels = (self.channel,) if isinstance(self.channel, str) else self.channel
+        files = images.find(self.folder, self.files)
+        found = [images.Plane(path, channel) for path in files for channel in channels]
+        kept: list[bool] = []
+        for shown in self.frames:
+            if isinstance(shown, SkippedImages):
+                kept += [False] * shown.count
+            else:
+                kept += [True] * len(shown.frames())
+        times = len(self.exposures_ms)
+        if len(found) != len(kept) * times:
+            of_files = f" of {len(channels)} frames" if len(channels) > 1 else ""
+            surplus = len(found) - len(kept) * times
+            raise FileError(
+                f"'{self.folder}' has {len(files)} images{of_files} for this manifest, which describes {len(kept)} frames"
+                + (f" at {times} exposures" if times > 1 else "")
+                + f": {'leave out the surplus' if surplus > 0 else 'add the missing'} {abs(surplus)}, or correct the "
+                "manifest's frames"
+            )
+        grid = np.arange(len(found)).reshape(
+            (len(kept), times) if self.exposures_innermost else (times, len(kept))
+        )
+        grid = grid.T if self.exposures_innermost else grid
+        return [[found[i] for i, keep in zip(row, kept, strict=True) if keep] for row in grid]
+
+    def stack(self) -> Stack:
+        """The stack alone, frames (exposure, frame, row, col) in DN; see `imported`."""
+        return self.imported().stack
+
+    def imported(self) -> Imported:
+        """Read the images and the calibration.
+
+        Returns
+        -------
+        imported
+            The stack, and what was found in the files.
+
+        Raises
+        ------
+        FileError
+            A file, its size or depth, or the calibration does not fit the manifest.
+        """
+        planes = self.planes()
+        flat = images.read([plane for row in planes for plane in row])
+        frames = flat.reshape(len(planes), len(planes[0]), *flat.shape[1:])
+        sensor, findings = self._sensor(frames)
+        size = (frames.shape[3], frames.shape[2])
+        rig = self.rig
+        if self.calibration is not None:
+            rig = self.calibration.calibration(size, self.projector_resolution)
+        stack = Stack(
+            frames,
+            self.patterns,
+            self.exposures_ms,
+            sensor,
+            rig,
+            projector_resolution=self.projector_resolution,
+            gamma=self.gamma,
+        )
+        return Imported(stack, tuple(findings))
+
+    def _sensor(self, frames: Any) -> tuple[Sensor, Sequence[Finding]]:
+        """The noise model, given or found in the frames."""
+        given = self.saturation_dn if self.sensor is None else self.sensor.saturation_dn
+        found = DigitalRange.of(frames, self.patterns, self.bits, given)
+        if self.sensor is not None:
+            return self.sensor, found.findings
+        sensor = SimpleSensor(
+            bits=self.bits,
+            black_level_dn=self.dark_dn,
+            sigma_dn=self.noise_dn or found.noise_dn,
+            saturated_from_dn=found.saturation_dn,
+        )
+        return sensor, found.findings

@@ -1,0 +1,1 @@
+"""Labels of solder paste: the truth of every pad, and COCO annotations."""

@@ -1,0 +1,1 @@
+"""Geometry of cameras and projectors, calibrations, and OpenCV's calibration files."""

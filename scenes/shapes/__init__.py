@@ -1,0 +1,1 @@
+"""Bodies and surfaces: solids, height fields, grains of powder, materials."""

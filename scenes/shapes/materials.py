@@ -1,0 +1,97 @@
+"""Surfaces: how much light they return, and how. Optical constants carry their source.
+
+Complex indices are at 589 nm, the wavelength of an amber LED and the one line at which tin, copper and gold are all
+tabulated. SAC305 solder is 96.5 % tin; its index is taken as tin's.
+"""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, NonNegativeFloat, PositiveFloat
+
+from scenes.support.errors import SceneError, nearest
+from scenes.support.frozen import Frozen
+
+Reflectance = Annotated[float, Field(ge=0.0, le=1.0)]
+Roughness = Annotated[float, Field(gt=0.0, le=1.0)]
+
+
+class Diffuse(Frozen):
+    """A Lambertian surface."""
+
+    kind: Literal["diffuse"] = "diffuse"
+    reflectance: Reflectance
+
+
+class Glossy(Frozen):
+    """A diffuse body under a dielectric skin: ink, solder mask, paint."""
+
+    kind: Literal["glossy"] = "glossy"
+    reflectance: Reflectance
+    """Diffuse albedo of the body."""
+    ior: Annotated[float, Field(gt=1.0, le=3.0)] = 1.5
+    """Refractive index of the skin."""
+    roughness: Roughness = 0.1
+    """GGX roughness of the skin."""
+
+
+class Conductor(Frozen):
+    """A metal: rough GGX microfacets, or a perfect mirror with roughness 0."""
+
+    kind: Literal["conductor"] = "conductor"
+    eta: PositiveFloat
+    """Real part of the complex refractive index."""
+    k: NonNegativeFloat
+    """Imaginary part (extinction)."""
+    roughness: Annotated[float, Field(ge=0.0, le=1.0)] = 0.2
+    """GGX roughness; 0 is a mirror."""
+
+
+class Dielectric(Frozen):
+    """A clear body with a rough skin, such as resin, wax or flux: light enters, scatters inside and leaves
+    elsewhere. Fringes bleed, and no height is measured at the skin.
+
+    The object must be closed, or rest on something, and its triangles wound to face outwards. Light that entered has met
+    at least three surfaces when it comes back: give `sampling.depth` 6 or more. Absorption is not modelled, and scattering
+    happens at surfaces only: a milky body is a clear one around or over a white one.
+    """
+
+    kind: Literal["dielectric"] = "dielectric"
+    ior: Annotated[float, Field(gt=1.0, le=3.0)] = 1.5
+    """Refractive index."""
+    roughness: Annotated[float, Field(ge=0.1, le=1.0)] = 0.4
+    """GGX roughness of the skin. Through a smoother one no path finds a projector, which is a point."""
+
+
+Material = Annotated[Diffuse | Glossy | Conductor | Dielectric, Field(discriminator="kind")]
+
+# Tin: n = 1.48, k = 5.25 at 589.3 nm (Drude; CRC Handbook of Chemistry and Physics, optical constants of metals:
+# reflectance 0.82). Refractiveindex.info has no visible data for tin (Golovashkin and Motulevich 1964 starts at 730 nm).
+# Copper, gold: P. B. Johnson and R. W. Christy, Phys. Rev. B 6, 4370 (1972), interpolated between 2.01 and 2.14 eV.
+# Roughness: reflowed solder is smooth, finely ground metal and plated finishes scatter more, paste whose grains
+# are not resolved most of all; assumed, not measured.
+# Inks and masks: epoxy skin, n = 1.55; body albedos are typical of the black and green sort, assumed, not measured.
+# Flux: rosin (abietic acid), n = 1.545; wet, so nearly smooth. It is clear and brown; here it is an opaque body under a
+# skin, because below the grains are more grains, which return little.
+LIBRARY: dict[str, Material] = {
+    "white-paint": Diffuse(reflectance=0.8),
+    "grey-paint": Diffuse(reflectance=0.5),
+    "black-ink": Glossy(reflectance=0.04, ior=1.55, roughness=0.25),
+    "solder-mask-green": Glossy(reflectance=0.12, ior=1.55, roughness=0.15),
+    "laminate": Diffuse(reflectance=0.35),
+    "flux": Glossy(reflectance=0.15, ior=1.545, roughness=0.1),
+    "resin": Dielectric(ior=1.5, roughness=0.4),
+    "mirror": Conductor(eta=1.48, k=5.25, roughness=0.0),
+    "solder-paste": Conductor(eta=1.48, k=5.25, roughness=0.5),
+    "solder": Conductor(eta=1.48, k=5.25, roughness=0.25),
+    "tin": Conductor(eta=1.48, k=5.25, roughness=0.15),
+    "copper": Conductor(eta=0.59, k=2.84, roughness=0.3),
+    "gold": Conductor(eta=0.27, k=2.95, roughness=0.25),
+}
+
+
+def material(name: str, own: dict[str, Material]) -> Material:
+    """The material of that name: the scene's own first, then the library's; `SceneError` if neither has it."""
+    known = LIBRARY | own
+    if name not in known:
+        raise SceneError(f"unknown material '{name}': {nearest(name, known)}")
+    return known[name]

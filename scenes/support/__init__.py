@@ -1,0 +1,1 @@
+"""What every room needs and no physics: errors, frozen models, files written whole, memory, the LLVM library."""

@@ -1,0 +1,109 @@
+"""Brightness of the source from frame to frame: measured, judged and divided out, against known factors."""
+
+import numpy as np
+import pytest
+
+import decode
+from decode.checks.flicker import equalise, flicker_findings, measured_flicker
+from decode.phase.n_step import fringe_sets
+from scenes.acquisition.patterns import PhaseShift
+from scenes.acquisition.sensor import SimpleSensor
+from scenes.files.stack import Stack
+
+ROWS, COLUMNS = 120, 200
+SIGMA_DN = 1.0
+
+
+def column_px() -> np.ndarray:
+    y, x = np.mgrid[:ROWS, :COLUMNS] + 0.5
+    return np.asarray(3.0 * x + 20.0 + 25.0 * np.exp(-((x - 90.0) ** 2 + (y - 60.0) ** 2) / 900.0))
+
+
+def taken(
+    gains: np.ndarray,
+    texture: float = 0.3,
+    gamma: float = 1.0,
+    ambient_dn: float = 0.0,
+    clip: float = 255.0,
+    white_dn: float = 200.0,
+) -> Stack:
+    """A set of a period of 16 px per exposure, frame k `gains[k]` times as bright; coarser sets are steady."""
+    patterns = PhaseShift(steps=len(gains), periods_px=(16.0, 128.0, 1024.0))
+    shown = patterns.frames()
+    rng = np.random.default_rng(4)
+    y, x = np.mgrid[:ROWS, :COLUMNS]
+    # Reflectance varies from pixel to pixel, over the image, and at an edge.
+    reflectance = rng.uniform(1.0 - texture, 1.0, (ROWS, COLUMNS)) * (1.0 - 0.3 * x / COLUMNS)
+    reflectance = reflectance * np.where(y < 40, 0.5, 1.0)
+    light = np.stack([patterns.commanded(f, column_px()) ** gamma for f in shown])
+    factor = np.array([gains[f.step] if f.period_px == 16.0 else 1.0 for f in shown])
+    values = white_dn * reflectance * (0.05 + 0.95 * light) * factor[:, None, None] + ambient_dn
+    noisy = np.clip(np.round(10.0 + values + rng.normal(0.0, SIGMA_DN, values.shape)), 0, clip)
+    sensor = SimpleSensor(sigma_dn=SIGMA_DN, black_level_dn=10.0, saturated_from_dn=clip)
+    return Stack(
+        noisy.astype(np.uint8)[None], shown, (1.0,), sensor, projector_resolution=(1024, 768)
+    )
+
+
+def error_px(stack: Stack) -> float:
+    rec = decode.reconstruct(stack, height="phase")
+    off = rec.phases["column"].coordinate_px - column_px()
+    return float(np.sqrt(np.mean(off[rec.valid] ** 2)))
+
+
+FLICKER = {
+    3: np.array([1.05, 0.95, 1.0]),
+    4: np.array([1.0, 1.05, 0.97, 0.98]),
+    8: 1.0 + 0.05 * np.sin(np.arange(8) * 2.1),
+}
+
+
+@pytest.mark.parametrize("steps", FLICKER)
+@pytest.mark.parametrize(("gamma", "clip"), [(1.0, 255.0), (1.0, 150.0), (2.2, 255.0)])
+def test_brightness_of_each_frame_is_measured(steps: int, gamma: float, clip: float) -> None:
+    gains = FLICKER[steps] / FLICKER[steps].mean()
+    stack = taken(gains, gamma=gamma, clip=clip)
+    finest = fringe_sets(stack.patterns, 0)["column"][-1]
+    found = measured_flicker(stack, finest, 0)
+    assert found is not None
+    # Averages over a few hundred fringes of random reflectance; the second harmonic of gamma takes part in three steps.
+    np.testing.assert_allclose(
+        found.gains, gains, atol=0.003 if (clip, gamma) == (255.0, 1.0) else 0.01
+    )
+    names = {f.name: f.verdict for f in flicker_findings(stack)}
+    assert names["column fringes of 16 px, brightness"] in ("warning", "wrong")
+
+
+@pytest.mark.parametrize("steps", FLICKER)
+def test_equalised_frames_decode_as_if_the_source_were_steady(steps: int) -> None:
+    steady, bent = taken(np.ones(steps)), taken(FLICKER[steps])
+    best = error_px(steady)
+    assert error_px(bent) > 1.3 * best
+    assert error_px(equalise(bent)) < 1.1 * best
+
+
+def test_saturated_samples_stay_saturated_and_others_do_not_become_so() -> None:
+    stack = taken(FLICKER[3], clip=180.0)
+    after = equalise(stack)
+    saturated = stack.frames >= stack.saturation_dn
+    assert saturated.any()
+    np.testing.assert_array_equal(after.frames >= after.saturation_dn, saturated)
+
+
+@pytest.mark.parametrize("steps", [3, 4, 8])
+@pytest.mark.parametrize(
+    ("texture", "gamma", "ambient_dn"), [(0.0, 1.0, 0.0), (0.8, 1.0, 40.0), (0.5, 2.2, 0.0)]
+)
+def test_steady_source_gives_no_warning(
+    steps: int, texture: float, gamma: float, ambient_dn: float
+) -> None:
+    stack = taken(np.ones(steps), texture, gamma, ambient_dn)
+    found = list(flicker_findings(stack))
+    assert found
+    assert {f.verdict for f in found} == {"ok"}
+
+
+def test_one_fringe_in_view_says_nothing_of_the_source() -> None:
+    stack = taken(FLICKER[4])
+    coarsest = fringe_sets(stack.patterns, 0)["column"][0]
+    assert measured_flicker(stack, coarsest, 0) is None

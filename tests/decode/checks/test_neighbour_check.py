@@ -1,0 +1,85 @@
+"""Order errors that code and phase agree on: seen by their neighbours, and along epipolar lines."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import decode
+from scenes.acquisition.patterns import GrayBits, PhaseShift
+from scenes.acquisition.sensor import SimpleSensor
+from scenes.files.stack import Stack
+from scenes.rig.calibration import Calibration
+from scenes.rig.devices import LookAt
+from scenes.support.finding import Finding
+from tests.decode.synthetic import Map, coordinates, hills, rig
+
+SIZE = (400, 300)
+# A cell as wide as the period: code and phase agree whatever the code's place.
+CELL_IS_PERIOD = PhaseShift(periods_px=(16.0,), gray=GrayBits(bits=5, cell_px=16.0))
+HALF_CELLS = PhaseShift(periods_px=(16.0,), gray=GrayBits(bits=6, cell_px=8.0))
+
+
+def level_rig() -> Calibration:
+    """The projector is straight to the camera's right: epipolar lines are rows."""
+    made = rig("pinhole", "pinhole", size=SIZE)
+    projector = made.projectors[0].model_copy(update={"pose": LookAt(origin_mm=(35, 0, 50))})
+    return made.model_copy(update={"projectors": (projector,)})
+
+
+def coded(patterns: PhaseShift, shift_px: float, height_mm: Map, calibration: Calibration) -> Stack:
+    """Noisy 8-bit frames whose Gray code is shifted against the fringes."""
+    column, _ = coordinates(calibration, height_mm)
+    shown = patterns.frames()
+    light = np.stack(
+        [patterns.commanded(f, column + (shift_px if f.kind == "gray" else 0.0)) for f in shown]
+    )
+    noise = np.random.default_rng(5).normal(0.0, 1.0, light.shape)
+    counts = np.clip(np.round(20.0 + 160.0 * light + noise), 0, 255).astype(np.uint8)
+    sensor = SimpleSensor(sigma_dn=1.0, black_level_dn=20.0)
+    return Stack(counts[None], shown, (1.0,), sensor, calibration)
+
+
+def finding(stack: Stack, name: str) -> Finding:
+    return next(f for f in decode.check(stack).findings if f.name.endswith(name))
+
+
+@pytest.mark.parametrize("shift_px", [1.0, 4.0, 8.0])
+@pytest.mark.parametrize("calibrated", [True, False])
+def test_code_shifted_against_the_fringes_is_wrong(shift_px: float, calibrated: bool) -> None:
+    stack = coded(CELL_IS_PERIOD, shift_px, hills(SIZE), level_rig())
+    if not calibrated:
+        stack = replace(stack, calibration=None, projector_resolution=(400, 400))
+    found = finding(stack, "columns, neighbours")
+    assert found.verdict == "wrong"
+    assert "code is shifted" in found.message
+
+
+@pytest.mark.parametrize("patterns", [CELL_IS_PERIOD, HALF_CELLS])
+def test_aligned_code_passes(patterns: PhaseShift) -> None:
+    report = decode.check(coded(patterns, 0.0, hills(SIZE), level_rig()))
+    names = [f.name for f in report.findings]
+    assert any("neighbours" in n for n in names) and any("epipolar order" in n for n in names)
+    assert all(f.verdict in ("ok", "unknown") for f in report.findings)
+
+
+def test_parts_whose_height_is_one_period_pass() -> None:
+    # All edges of the parts jump by one period, but at any phase.
+    calibration = level_rig()
+    plane = coordinates(calibration, np.zeros(SIZE[::-1]))[0]
+    top = coordinates(calibration, np.ones(SIZE[::-1]))[0]
+    one_period_mm = 16.0 / float(np.median(np.abs(top - plane)))
+    height = np.zeros(SIZE[::-1])
+    rng = np.random.default_rng(2)
+    for row in range(20, 280, 40):
+        for column in range(20, 380, 45):
+            right = column + int(rng.integers(12, 25))
+            height[row : row + 20, column:right] = one_period_mm
+    assert finding(coded(HALF_CELLS, 0.0, height, calibration), "neighbours").verdict == "ok"
+
+
+def test_coordinates_out_of_order_along_epipolar_lines_are_seen() -> None:
+    shifted = finding(coded(CELL_IS_PERIOD, 8.0, hills(SIZE), level_rig()), "epipolar order")
+    # A code half a period off lowers half of the pixels by a period, below the half before them.
+    assert shifted.verdict == "wrong"
+    assert shifted.value is not None and shifted.value > 0.3

@@ -1,0 +1,47 @@
+"""What the measured second harmonic claims to know of itself, against drawn noise and phases."""
+
+import numpy as np
+import pytest
+
+from decode.checks.stack_check import _misfit
+from decode.phase.gamma import Harmonics, harmonics
+from decode.phase.n_step import fringe_sets
+from scenes.acquisition.patterns import PhaseShift
+from scenes.acquisition.sensor import SimpleSensor
+from scenes.files.stack import Stack
+
+
+def measured(steps: int, sigma_dn: float, seed: int) -> Harmonics:
+    """Of ideal sinusoids with noise, each pixel at a phase of its own."""
+    rng = np.random.default_rng(seed)
+    shown = PhaseShift(steps=steps, periods_px=(16.0,)).frames()
+    phase = rng.uniform(0.0, 2.0 * np.pi, (50, 80))
+    frames = np.stack([120.0 + 80.0 * np.cos(phase + f.phase_shift_rad) for f in shown])
+    frames += sigma_dn * rng.standard_normal(frames.shape)
+    sensor = SimpleSensor(sigma_dn=sigma_dn, bits=0)
+    stack = Stack(frames[None].astype(np.float32), shown, (1.0,), sensor)
+    return harmonics(stack, fringe_sets(shown, 0)["column"][0])
+
+
+@pytest.mark.parametrize("steps", [4, 5, 8])
+def test_residual_of_ideal_fringes_is_the_noise_that_is_claimed(steps: int) -> None:
+    """Of N samples a sinusoid takes three: sqrt((N - 3) / N) of the noise is left."""
+    found = measured(steps, 2.0, steps)
+    assert found.noise == pytest.approx(2.0 / 80.0 * np.sqrt((steps - 3) / steps), rel=1e-3)
+    # 4000 pixels with N - 3 freedoms: 1.1 % at four steps.
+    assert found.residual == pytest.approx(found.noise, rel=0.05)
+
+
+def test_error_of_the_phases_histogram_is_that_of_a_complex_mean() -> None:
+    """The harmonic is the real part, which scatters by sqrt(1/2) of the error that is claimed."""
+    found = [measured(3, 0.0, seed) for seed in range(100)]
+    scatter = np.std([h.second for h in found]) / np.mean([h.error for h in found])
+    # 100 draws know a standard deviation to 7 %.
+    assert scatter == pytest.approx(np.sqrt(0.5), rel=0.25)
+
+
+def test_misfit_is_what_noise_and_gamma_do_not_explain() -> None:
+    """Variances add: 0.7^2 = 0.2^2 + 0.3^2 + 0.6^2."""
+    seen = Harmonics(0.0, 0.0, 1.0, 0.7, 0.2, 0.3)
+    assert _misfit(seen) == pytest.approx(0.6)
+    assert _misfit(Harmonics(0.0, 0.0, 1.0, 0.1, 0.2, 0.3)) == 0.0

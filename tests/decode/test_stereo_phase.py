@@ -1,0 +1,165 @@
+"""Two cameras that see the same fringes, from formulas alone."""
+
+import numpy as np
+import pytest
+
+from decode.reason import Reason
+from decode.stereo_phase import stereo
+from scenes.acquisition.patterns import GrayCode, PhaseShift
+from scenes.acquisition.sensor import SimpleSensor
+from scenes.files.stack import Stack
+from scenes.rig.devices import LookAt, Pinhole
+from scenes.support.errors import DecodeError
+from tests.decode.synthetic import LENS, rig
+
+HEIGHTS = (-1.0, 4.0)
+PROJECTOR = rig("pinhole", "pinhole", lenses=True).projectors[0].projection()
+BOTH = PhaseShift(steps=4, periods_px=(16.0, 512.0), axes=("column", "row"))
+
+
+def camera(x_mm: float, size: tuple[int, int] = (160, 120)) -> Pinhole:
+    return Pinhole(
+        resolution=size,
+        pose=LookAt(origin_mm=(x_mm, 2.0, 60.0)),
+        fx_px=600.0,
+        fy_px=605.0,
+        cx_px=size[0] / 2 + 3.3,
+        cy_px=size[1] / 2 - 1.7,
+        distortion=LENS,
+    )
+
+
+def surface(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return 1.5 + np.sin(x / 3.0) * np.cos(y / 4.0)
+
+
+def heights(device: Pinhole) -> np.ndarray:
+    """Height of the surface in each pixel, by fixed-point iteration along the ray (its slope is below 1/3)."""
+    geometry = device.projection()
+    origin, direction = geometry.rays(geometry.pixel_centres())
+    height = np.zeros(origin.shape[:2])
+    for _ in range(60):
+        point = geometry.ray_points(origin, direction, height)
+        height = surface(point[..., 0], point[..., 1])
+    return height
+
+
+def look(
+    device: Pinhole, patterns: PhaseShift | GrayCode, sigma_dn: float, seed: int
+) -> tuple[Stack, np.ndarray]:
+    geometry = device.projection()
+    height = heights(device)
+    at = PROJECTOR.project(geometry.points_at(height))[0]
+    shown = patterns.frames()
+    rng = np.random.default_rng(seed)
+    light = np.stack([patterns.commanded(f, at[..., int(f.axis == "row")]) for f in shown])
+    noisy = 40.0 + 160.0 * light + rng.normal(0.0, sigma_dn, light.shape)
+    frames = noisy[None].astype(np.float32)
+    sensor = SimpleSensor(bits=0, sigma_dn=max(sigma_dn, 1e-3))
+    return Stack(frames, shown, (1.0,), sensor), height
+
+
+@pytest.mark.parametrize("axes", [("column",), ("row",), ("column", "row")])
+def test_noise_free_stereo_finds_the_surface(axes: tuple[str, ...]) -> None:
+    patterns = BOTH.model_copy(update={"axes": axes})
+    eyes = camera(-8.0), camera(8.0)
+    (left, height), (right, _) = (look(eye, patterns, 0.0, 0) for eye in eyes)
+    rec = stereo(left, right, eyes, HEIGHTS)
+    assert rec.valid.mean() > 0.7
+    error = (rec.height_mm - height)[rec.valid]
+    # The right map is read between its pixels, 0.1 mm apart on a surface whose curvature is below 0.11 / mm: bilinear
+    # reading is off by 0.11 * 0.1^2 / 8 mm; float32 phase adds as much.
+    assert np.abs(error).max() < 2e-3
+    assert (rec.reason[~rec.valid] == Reason.NO_HEIGHT).any()
+
+
+def test_sigma_of_stereo_is_its_scatter() -> None:
+    eyes = camera(-8.0), camera(8.0)
+    (left, height), (right, _) = (look(eye, BOTH, 2.0, seed) for seed, eye in enumerate(eyes))
+    rec = stereo(left, right, eyes, HEIGHTS)
+    ratio = ((rec.height_mm - height) / rec.sigma_mm)[rec.valid]
+    # Reading between four right pixels averages their noise: weights' squares sum to between 1/4 and 1, 4/9 on average.
+    low, high = np.sqrt((1.0 + 0.25) / 2.0), 1.0
+    assert low < ratio.std() < high
+    assert abs(np.median(ratio)) < 0.05
+
+
+def test_gray_code_is_enough_for_stereo() -> None:
+    eyes = camera(-8.0), camera(8.0)
+    code = GrayCode(axes=("column", "row"), bits=(9, 9))
+    (left, height), (right, _) = (look(eye, code, 1.0, seed) for seed, eye in enumerate(eyes))
+    rec = stereo(left, right, eyes, HEIGHTS)
+    assert rec.valid.mean() > 0.4
+    # A cell of 1 px on either side, 0.1 mm on the surface, at a base to height of 16 to 60.
+    assert np.median(np.abs(rec.height_mm - height)[rec.valid]) < 0.1 * 60.0 / 16.0
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"cameras": (camera(-8.0), camera(8.0, (80, 60)))}, "right stack.s frames are"),
+        ({"heights_mm": (3.0, 1.0)}, "first must be below"),
+        ({"heights_mm": (0.0, 60.5)}, "reach the left camera, which is at 60 mm"),
+        ({"heights_mm": (20.0, 30.0)}, "no left pixel finds its match"),
+    ],
+)
+def test_impossible_stereo_is_refused(change: dict[str, object], said: str) -> None:
+    eyes = camera(-8.0), camera(8.0)
+    (left, _), (right, _) = (look(eye, BOTH, 0.0, 0) for eye in eyes)
+    keys = {"cameras": eyes, "heights_mm": HEIGHTS} | change
+    with pytest.raises(DecodeError, match=said):
+        stereo(left, right, **keys)  # type: ignore[arg-type]
+
+
+def test_stacks_of_different_patterns_are_refused() -> None:
+    eyes = camera(-8.0), camera(8.0)
+    left, _ = look(eyes[0], BOTH, 0.0, 0)
+    right, _ = look(eyes[1], PhaseShift(steps=3, periods_px=(16.0, 512.0)), 0.0, 0)
+    with pytest.raises(DecodeError, match="different patterns"):
+        stereo(left, right, eyes, HEIGHTS)
+
+
+def test_region_has_the_heights_of_the_whole_image() -> None:
+    eyes = camera(-8.0), camera(8.0)
+    (left, _), (right, _) = (look(eye, BOTH, 1.0, seed) for seed, eye in enumerate(eyes))
+    roi = (30, 90, 40, 120)
+    whole, part = stereo(left, right, eyes, HEIGHTS), stereo(left, right, eyes, HEIGHTS, roi=roi)
+    inside = np.s_[roi[0] : roi[1], roi[2] : roi[3]]
+    assert part.valid.sum() == part.valid[inside].sum() > 0.8 * 60 * 80
+    both = whole.valid & part.valid
+    # The grid of epipolar lines is another one, so a candidate may start elsewhere; the exact ray's crossing stays.
+    assert np.abs(whole.height_mm - part.height_mm)[both].max() < 0.1 * whole.sigma_mm[both].min()
+    assert (whole.valid != part.valid)[inside].mean() < 0.01
+
+
+def test_steps_and_occlusions_leave_no_wrong_heights() -> None:
+    """A block of 2 mm on a plane: its edges jump, and its side hides a strip from one camera."""
+    eyes = camera(-8.0), camera(8.0)
+    stacks, truth = [], None
+    for seed, eye in enumerate(eyes):
+        geometry = eye.projection()
+        origin, direction = geometry.rays(geometry.pixel_centres())
+        top = geometry.ray_points(origin, direction, 2.0)
+        height = np.where((np.abs(top[..., 0]) < 2.0) & (np.abs(top[..., 1]) < 2.0), 2.0, 0.0)
+        truth = height if truth is None else truth
+        at = PROJECTOR.project(geometry.points_at(height))[0]
+        light = np.stack([BOTH.commanded(f, at[..., int(f.axis == "row")]) for f in BOTH.frames()])
+        noise = np.random.default_rng(seed).normal(0.0, 1.0, light.shape)
+        frames = (40.0 + 160.0 * light + noise)[None].astype(np.float32)
+        sensor = SimpleSensor(bits=0, sigma_dn=1.0)
+        stacks.append(Stack(frames, BOTH.frames(), (1.0,), sensor))
+    rec = stereo(stacks[0], stacks[1], eyes, HEIGHTS)
+    assert truth is not None
+    assert rec.valid.mean() > 0.7
+    error = np.abs(rec.height_mm - truth)
+    # Six sigma; of the rest, right pixels across an edge mix two surfaces, one pixel wide around the block.
+    wrong = rec.valid & (error > 6.0 * rec.sigma_mm)
+    assert wrong.mean() < 0.005
+
+
+def test_progress_ends_at_one_and_never_falls() -> None:
+    eyes = camera(-8.0), camera(8.0)
+    (left, _), (right, _) = (look(eye, BOTH, 0.0, 0) for eye in eyes)
+    shares: list[float] = []
+    stereo(left, right, eyes, HEIGHTS, progress=shares.append)
+    assert shares == sorted(shares) and shares[-1] == pytest.approx(1.0)

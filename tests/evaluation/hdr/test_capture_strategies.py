@@ -1,0 +1,269 @@
+"""Acquisition plans: what they show, for how long, and that budgets are kept. No renderer: pictures are formulas."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import decode
+from evaluation.hdr.capture_strategies import BUILT_IN, LEVELS, PlannedCapture, Strategy
+from evaluation.hdr.coding_strategies import CODINGS
+from evaluation.hdr.comparison import (
+    MeanInterval,
+    StrategyComparison,
+    StrategyRegion,
+    StrategyResult,
+)
+from evaluation.hdr.light_budget import BUDGETS, LightBudget, LightLevel, Reference
+from evaluation.hdr.registry import strategies
+from evaluation.theory.clipping import clipped_harmonic
+from scenes.acquisition.patterns import Patterns, PhaseShift
+from scenes.acquisition.sensor import SimpleSensor
+from scenes.files.stack import Stack
+from scenes.support.errors import ScoreError
+
+# 0.02 to 20 DN/ms beside each other
+REFLECTANCE = np.geomspace(0.02, 20.0, 24).reshape(4, 6)
+# A twelfth of the range is black: what is lost by forgetting it is more than a level.
+SENSOR = SimpleSensor(sigma_dn=0.1, bits=12, black_level_dn=341.0)
+
+
+def shoot(patterns: Patterns, times_ms: Sequence[float], level: LightLevel = 1.0) -> Stack:
+    """Fringes of full contrast at phase 0.3 on every pixel, without noise."""
+    frames = np.stack(
+        [
+            [
+                time_ms * REFLECTANCE * level * (1.0 + np.cos(0.3 + f.phase_shift_rad))
+                for f in patterns.frames()
+            ]
+            for time_ms in times_ms
+        ]
+    )
+    counts = np.clip(np.rint(SENSOR.black_level_dn + frames), 0, SENSOR.full_scale_dn).astype(
+        np.uint16
+    )
+    return Stack(counts, patterns.frames(), tuple(times_ms), SENSOR)
+
+
+def reference(steps: int = 4, times: tuple[float, ...] = (1.0, 10.0, 80.0)) -> Reference:
+    return Reference(PhaseShift(steps=steps, periods_px=(16.0, 128.0)), times, overhead_ms=0.7)
+
+
+def captured(name: str, ref: Reference, budget: LightBudget) -> PlannedCapture:
+    (strategy,) = strategies([name])
+    return strategy.plan(shoot, ref, budget)
+
+
+NAMES = [strategy.name for strategy in BUILT_IN]
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "ref", [reference(), reference(3, (2.0, 5.0)), reference(6, (1.0, 2.0, 4.0, 8.0))]
+)
+def test_equal_times_are_equal_and_equal_frames_never_more(name: str, ref: Reference) -> None:
+    for budget in BUDGETS:
+        got = captured(name, ref, budget)
+        assert got.frames >= got.stack.frames.shape[0] * got.stack.frames.shape[1]
+        assert got.stack.exposure_ms == got.shot.times_ms
+        assert got.cycle_ms == pytest.approx(got.exposure_ms + 0.7 * got.frames)
+        if budget == "equal-time":
+            assert got.exposure_ms == pytest.approx(ref.shot.light_ms(1), rel=1e-12)
+        elif budget == "cycle-time":
+            assert got.cycle_ms == pytest.approx(ref.cycle_ms(ref.shot), rel=1e-12)
+        else:
+            assert got.frames <= ref.shot.frames(1)
+
+
+@pytest.mark.parametrize("share", [0.25, 2.0])
+@pytest.mark.parametrize("name", ["max-modulation", "single", "complementary"])
+def test_share_of_a_cycle_is_used_and_no_exposure_is_lengthened(name: str, share: float) -> None:
+    ref = replace(reference(), share=share)
+    got = captured(name, ref, "cycle-time")
+    assert got.cycle_ms == pytest.approx(share * ref.cycle_ms(ref.shot), rel=1e-12)
+    assert max(got.shot.times_ms) <= max(ref.times_ms) * (1.0 + 1e-9)
+
+
+def test_overhead_turns_repeats_into_exposure_time() -> None:
+    """One short exposure repeated to fill 728 ms of light takes many frames; where each costs 5 ms it takes few."""
+    frames = [
+        captured("single", replace(reference(), overhead_ms=ms), "cycle-time").frames
+        for ms in (0.0, 5.0, 50.0)
+    ]
+    assert frames == sorted(frames, reverse=True)
+    assert frames[0] > frames[2]
+
+
+def test_strategy_that_does_not_fit_is_refused_with_what_it_needs() -> None:
+    slow = replace(reference(), min_exposure_ms=5.0)
+    with pytest.raises(ScoreError, match="at least 5 ms"):
+        captured("max-modulation", slow, "equal-time")  # its shortest exposure is 1 ms
+    with pytest.raises(ScoreError, match="do not fit"):
+        captured("more-steps", replace(reference(), share=0.1), "equal-frames")
+
+
+@pytest.mark.parametrize("steps", [3, 4])
+@pytest.mark.parametrize("ratio", [1.25, 1.5])
+def test_saturation_bias_of_two_sets_is_that_of_the_closed_form(steps: int, ratio: float) -> None:
+    """The mean of two maps and the joint fit of 2N steps, against the Fourier series of the clipped wave.
+
+    N samples fold the harmonics 1 + qN onto the first: the phase errs by ``arg(1 + sum_q (c_(1+qN)/c_1) exp(j q N phi))``.
+    Harmonics fall as 1/m^2, so those above 400 leave some 1e-4 rad; float32 leaves 1e-6.
+    """
+    phi = np.linspace(-np.pi, np.pi, 720, endpoint=False) + 1e-3
+
+    def clipped(patterns: Patterns, times_ms: Sequence[float], level: LightLevel = 1.0) -> Stack:
+        shifts = np.array([f.phase_shift_rad for f in patterns.frames()])[:, None, None]
+        wave = np.minimum(255.0 * ratio / 2.0 * (1.0 + np.cos(phi + shifts)), 255.0)
+        frames = np.repeat(wave.astype(np.float32)[None], len(times_ms), axis=0)
+        return Stack(frames, patterns.frames(), tuple(times_ms), SENSOR)
+
+    def error(at: NDArray[np.float64], n: int) -> NDArray[np.float64]:
+        first, orders = clipped_harmonic(1, ratio), range(-400 // n, 400 // n + 1)
+        folded = [
+            clipped_harmonic(1 + q * n, ratio) / first * np.exp(1j * q * n * at)
+            for q in orders
+            if q
+        ]
+        return np.asarray(np.angle(1.0 + np.sum(folded, axis=0)))
+
+    ref = Reference(PhaseShift(steps=steps, periods_px=(16.0,)), (1.0, 2.0))
+    expected = {
+        "complementary": (error(phi, steps) + error(phi + np.pi / steps, steps)) / 2.0,
+        "2n-step": error(phi, 2 * steps),
+    }
+    # Root mean squares, computed independently of this series.
+    published = {
+        (3, 1.5): (0.0114, 0.0345),
+        (3, 1.25): (0.0127, 0.0086),
+        (4, 1.5): (0.0124, 0.0108),
+    }
+    for i, (name, theory) in enumerate(expected.items()):
+        (strategy,) = strategies([name])
+        stack = strategy.plan(clipped, ref, "equal-time").stack
+        rec = decode.reconstruct(
+            stack,
+            fusion=strategy.fusion,
+            saturation=strategy.saturation,
+            height="phase",
+            unwrap="row-scan",
+        )
+        found = rec.wrapped_rad[0].astype(np.float64)
+        off = (found - phi + np.pi) % (2.0 * np.pi) - np.pi
+        assert np.abs(off - theory).max() < 1e-3
+        if (steps, ratio) in published:
+            assert np.sqrt(np.mean(off**2)) == pytest.approx(published[steps, ratio][i], abs=1e-4)
+
+
+@pytest.mark.parametrize("name", ["single", "inverted", "complementary", "2n-step", "more-steps"])
+def test_plans_of_one_exposure_never_expose_longer_than_it(name: str) -> None:
+    """Lengthening it to fill the budget would add the very saturation that the plan is about."""
+    for budget in BUDGETS:
+        assert max(captured(name, reference(), budget).shot.times_ms) <= 10.0
+
+
+def test_inverted_and_complementary_sets_are_what_their_papers_show() -> None:
+    def degrees(name: str, ref: Reference) -> list[int]:
+        shown = captured(name, ref, "equal-time").shot.patterns.frames()
+        return [round(np.rad2deg(f.phase_shift_rad)) for f in shown if f.period_px == 16.0]
+
+    assert degrees("inverted", reference()) == [0, 120, 240, 180, 300, 420]
+    assert degrees("complementary", reference()) == [0, 90, 180, 270, 45, 135, 225, 315]
+    assert degrees("complementary", reference(3)) == [0, 120, 240, 60, 180, 300]
+
+
+def test_leftover_frames_become_more_steps() -> None:
+    """12 frames a period hold one set of 4 and its complement, and waste 4: two sets of 6 waste none."""
+    assert captured("complementary", reference(), "equal-frames").frames == 24
+
+
+def test_metering_takes_the_longest_exposure_that_clips_nothing() -> None:
+    # the brightest pixel peaks at 40 DN/ms: 10 ms give 400, 80 ms 3200, 200 ms clip at 4095
+    times = captured("auto-exposure", reference(times=(10.0, 80.0, 200.0)), "equal-frames").shot
+    assert set(times.times_ms) == {80.0}
+
+
+def test_adaptive_levels_dim_each_pixel_below_saturation_by_less_than_a_level_too_much() -> None:
+    got = captured("adaptive-projection", reference(times=(10.0, 80.0, 400.0)), "equal-frames")
+    level = np.asarray(got.shot.level)
+    peak = got.stack.frames.max(axis=(0, 1))
+    assert (peak < SENSOR.saturation_dn).all()
+    # Closed form: the headroom of 0.9 above black, over the light of full contrast at the longest exposure, in whole levels.
+    # The look at the shortest exposure is rounded to counts, of which the dimmed pixels have more than 80.
+    room = 0.9 * (SENSOR.saturation_dn - SENSOR.black_level_dn)
+    wanted = LEVELS * room / (REFLECTANCE * 2.0 * 400.0)
+    low, high = (
+        np.clip(np.floor(wanted * f), 1, LEVELS) / LEVELS for f in (1 - 1 / 80, 1 + 1 / 80)
+    )
+    assert ((low <= level) & (level <= high)).all()
+    assert (low == high).mean() > 0.8
+    assert ((level < 1.0).mean() > 0.2) & ((level == 1.0).mean() > 0.2)
+    # the first look is paid for
+    assert got.frames == got.stack.frames.shape[0] * got.stack.frames.shape[1] + 3
+
+
+@pytest.mark.parametrize("strategy", CODINGS, ids=lambda s: s.name)
+def test_coding_is_shown_at_the_references_exposures(strategy: Strategy) -> None:
+    """Repeated, shortened by one factor, and as fine as the reference: every code numbers 1024 px."""
+    ref = reference()
+    got = strategy.plan(shoot, ref, "equal-time")
+    assert got.exposure_ms == pytest.approx(ref.shot.light_ms(1), rel=1e-12)
+    times = got.shot.times_ms
+    assert np.divide(times[1:3], times[0]) == pytest.approx([10.0, 80.0])
+    frames = got.shot.patterns.frames()
+    fine = min(f.carrier_px or f.period_px for f in frames if f.kind not in ("gray", "xor"))
+    assert 14.0 <= fine <= 16.0
+
+
+def test_unknown_strategy_is_refused_with_a_hint() -> None:
+    with pytest.raises(ScoreError, match="did you mean 'max-modulation'"):
+        strategies(["max-modulaton"])
+
+
+def entry(
+    name: str, rms: Sequence[float], coverage: float = 1.0, cycle_ms: float = 1.0
+) -> StrategyResult:
+    figures = {"coverage": MeanInterval(coverage, 0.0), "rms_mm": MeanInterval.of(rms)}
+    region = StrategyRegion(9, figures, None, None, None, None, tuple(rms))
+    return StrategyResult(
+        name, "equal-time", "ladder", name, "", 1, 1.0, cycle_ms, 0.0, {"base": region}
+    )
+
+
+LIMITS = {"equal-time": 1.0, "equal-frames": 1.0, "cycle-time": 1.0}
+
+
+def test_difference_within_the_interval_is_a_tie() -> None:
+    rows = (
+        entry("best", [1.0, 1.1, 0.9, 1.0]),
+        entry("same-noise", [1.1, 1.2, 1.0, 1.1]),  # worse by 0.1 in every repeat: surely worse
+        entry("other-noise", [1.3, 0.9, 1.2, 0.9]),  # worse by 0.075 +- 0.3
+        entry("partial", [0.1, 0.1, 0.1, 0.1], coverage=0.5),  # small errors of the easy half
+    )
+    result = StrategyComparison("s", 4, 0, 1, 0.1, LIMITS, rows, ())
+    assert result.best("equal-time", "base") == ("best", "other-noise")
+    told = result.to_dict()["strategies"]
+    assert [s["regions"]["base"]["best_or_tied"] for s in told] == [True, False, True, False]
+
+
+def test_one_repeat_establishes_nothing() -> None:
+    result = StrategyComparison(
+        "s", 1, 0, 1, 0.1, LIMITS, (entry("a", [1.0]), entry("b", [2.0])), ()
+    )
+    assert result.best("equal-time", "base") == ("a", "b")
+    assert result.to_dict()["strategies"][0]["regions"]["base"]["half_width"]["rms_mm"] is None
+
+
+def test_front_holds_what_nothing_shorter_beats() -> None:
+    rows = (
+        entry("short", [3.0, 3.0], cycle_ms=1.0),
+        entry("worse", [4.0, 4.0], cycle_ms=2.0),
+        entry("long", [2.0, 2.0], cycle_ms=3.0),
+        entry("half", [0.1, 0.1], coverage=0.5, cycle_ms=1.0),
+    )
+    result = StrategyComparison("s", 2, 0, 1, 0.1, LIMITS, (), (), pareto=rows)
+    assert [e.name for e in result.front("base")] == ["short", "long"]
+    marked = {p["name"]: p["regions"]["base"]["on_front"] for p in result.to_dict()["pareto"]}
+    assert marked == {"short": True, "worse": False, "long": True, "half": False}

@@ -1,0 +1,82 @@
+"""What every command has in common: an example in its help, scene names completed, progress where work is long."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer.main
+
+import scenes
+from fringebench.cli.app import app
+from fringebench.cli.shared_options import fusion_rules, scene_names
+
+LONG = {
+    "run", "render", "expose", "decode", "chapter", "compare", "regress", "budget", "dataset", "import", "calibrate",
+    "accept", "stereo", "pads",
+}  # fmt: skip
+CHANCE = {
+    "run", "render", "expose", "chapter", "compare", "regress", "budget", "dataset", "calibrate", "accept", "pads",
+}  # fmt: skip
+
+
+def commands() -> Iterator[tuple[str, Any]]:
+    group: Any = typer.main.get_command(app)
+    yield from group.commands.items()
+
+
+def test_every_command_has_an_example_that_parses() -> None:
+    for name, command in commands():
+        example = re.sub(r"^Example: fringebench ", "", command.epilog or "")
+        assert example.split()[0] == name, f"{name}: {command.epilog}"
+        words = example.replace("> mine.toml", "").split()[1:]
+        command.make_context(name, words, resilient_parsing=False).close()
+
+
+def test_long_commands_show_progress_and_scenes_can_be_overridden() -> None:
+    for name, command in commands():
+        options = {word for parameter in command.params for word in parameter.opts}
+        if name in LONG:
+            assert "--progress" in options, name
+        arguments = {p.name for p in command.params if p.param_type_name == "argument"}
+        if arguments & {"scene", "rig"}:
+            assert "--set" in options, name
+
+
+def test_every_command_answers_in_json_and_random_ones_take_a_seed() -> None:
+    for name, command in commands():
+        options = {word for parameter in command.params for word in parameter.opts}
+        assert "--json" in options, name
+        if name in CHANCE:
+            assert "--seed" in options, name
+
+
+def test_shell_completes_scenes_files_and_rules(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "solo.toml").write_text("")
+    (tmp_path / "some").mkdir()
+    (tmp_path / "some" / "other.toml").write_text("")
+    assert list(scene_names("so")) == ["solder", "solder-grains", "solo.toml", "some/"]
+    assert list(scene_names("some/")) == ["some/other.toml"]
+    assert set(scene_names("")) >= set(scenes.shipped())
+    assert "max-modulation" in fusion_rules("max")
+    assert fusion_rules("no such") == []
+
+
+def test_completion_works_through_the_protocol_of_the_shell(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("_FRINGEBENCH_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", "fringebench run ink")
+    monkeypatch.setenv("COMP_CWORD", "2")
+    with pytest.raises(SystemExit):
+        app(prog_name="fringebench")
+    assert capsys.readouterr().out.split() == ["ink", "ink-solder"]
+
+
+def test_every_top_level_key_of_a_scene_has_a_description() -> None:
+    properties = scenes.schema()["properties"]
+    assert all(value.get("description") for value in properties.values())

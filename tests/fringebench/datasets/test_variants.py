@@ -1,0 +1,81 @@
+"""Samples that share one light, shards of whole samples, and the data card."""
+
+import json
+import tarfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fringebench.datasets.building import build
+from fringebench.datasets.data_card import write_card
+from fringebench.datasets.dataset_plan import DatasetPlan
+from fringebench.datasets.reader import Dataset
+from fringebench.datasets.sample import attempt
+from fringebench.datasets.shards import write_shards
+from fringebench.datasets.verification import verify
+
+
+@pytest.fixture(scope="module")
+def varied(plan: DatasetPlan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four samples of two lights."""
+    where = tmp_path_factory.mktemp("varied") / "set"
+    noise = {"kind": "uniform", "low": 1.0, "high": 9.0}
+    scene = plan.scene | {"randomise": {"sensor.read_noise_e": noise}}
+    build(plan.model_copy(update={"variants": 2, "count": 4, "scene": scene}), where)
+    return where
+
+
+def test_variants_share_light_and_split_and_differ_in_noise(varied: Path, tmp_path: Path) -> None:
+    found = Dataset(varied)
+    assert [s.labels["light_index"] for s in found] == [0, 0, 1, 1]
+    assert len({s.drawn["sensor.read_noise_e"] for s in found}) == 4
+    for one, two in ((found[0], found[1]), (found[2], found[3])):
+        assert one.split == two.split
+        assert one.record.files["truth.exr"] == two.record.files["truth.exr"]
+        assert one.board == two.board
+        assert not np.array_equal(one.frames, two.frames)
+        assert one.scene.sensor != two.scene.sensor
+        assert two.stack.sensor == two.scene.sensor
+    assert found[0].board != found[2].board
+    # A variant made alone is the same.
+    made = attempt(found.plan, found.plan.load_scene(), 3, tmp_path)
+    assert made == found.records[3]
+
+
+def test_shards_hold_the_samples_files_in_order(varied: Path) -> None:
+    shards = write_shards(varied, samples=1)
+    assert sum(shards.values()) == 4
+    first = {name: (varied / name).read_bytes() for name in shards}
+    keys = []
+    for name in shards:
+        split = Path(name).name.split("-")[0]
+        with tarfile.open(varied / name) as shard:
+            for entry in shard:
+                key, field = entry.name.split(".", 1)
+                original = varied / "samples" / key / field
+                content = shard.extractfile(entry)
+                assert content is not None
+                assert content.read() == original.read_bytes()
+                keys.append((split, key))
+    assert set(keys) == {
+        (record.split, f"{record.index:06d}") for record in Dataset(varied).records
+    }
+    assert write_shards(varied, samples=1).keys() == first.keys()
+    assert all((varied / name).read_bytes() == content for name, content in first.items())
+    assert verify(varied) == ()
+
+
+def test_card_counts_what_the_labels_hold(varied: Path) -> None:
+    write_shards(varied)
+    write_card(varied)
+    text = (varied / "README.md").read_text()
+    notes = [note for s in Dataset(varied) for note in s.labels["annotations"]]
+    good = [line for line in text.splitlines() if line.startswith("| good ")]
+    counts = [int(cell) for cell in good[0].split("|")[3:-1]]
+    assert sum(counts) == sum(note["category_id"] == 1 for note in notes) > 0
+    assert "sensor.read_noise_e" in text
+    front = text.split("---")[1]
+    for split in {record.split for record in Dataset(varied).records}:
+        assert f"path: webdataset/{split}-*.tar" in front
+    assert json.dumps({"kind": "uniform", "low": 1.0, "high": 9.0}) in text

@@ -1,0 +1,151 @@
+"""The budget charges each error to its cause, on scenes that have one cause each."""
+
+import numpy as np
+import pytest
+
+import decode
+import evaluation
+import render
+import scenes
+from fringebench.experiments.cause_budget import CAUSES, budget
+from scenes.support.errors import FringebenchError, RenderError
+
+SMALL = {"camera.resolution": [120, 90], "sampling.samples": 16}
+# One exposure far from saturation, direct light.
+PLAIN = {
+    **SMALL,
+    "sampling.depth": 1,
+    "exposures.relative": [1.0],
+    "sensor": {"kind": "simple", "bits": 12, "sigma_dn": 20.0},
+}
+
+
+def rms(square: float | None) -> float:
+    assert square is not None
+    return float(np.sqrt(square))
+
+
+def test_pixels_without_footprint_see_the_phase_of_their_centres() -> None:
+    scene = scenes.load("step", {**SMALL, "sampling.depth": 1})
+    transport, truth = render.trace(scene, footprint=0.0), render.truth(scene)
+    cos, sin = transport.total[0, 1], transport.total[0, 2]
+    lit = truth.lit_by[0]
+    period = transport.bases[0].channels[1].period_px
+    phase = 2 * np.pi * truth.columns_px[0] / period
+    error = np.angle(np.exp(1j * (np.arctan2(sin, cos) - phase)))[lit]
+    # float32 coordinates; and the rare ray that meets an edge
+    assert np.percentile(np.abs(error), 99) < 1e-3
+    with pytest.raises(RenderError, match="footprint"):
+        render.trace(scene, footprint=1.5)
+
+
+def test_noise_alone_equals_the_predicted_sigma() -> None:
+    scene = scenes.load("step", PLAIN)
+    found = budget(scene, repeats=8).regions["base"]
+    transport, truth = render.trace(scene, footprint=0.0), render.truth(scene)
+    rec = decode.reconstruct(render.expose(transport))
+    base = evaluation.scored(truth, "base") & rec.valid
+    predicted = float(np.sqrt(np.mean(rec.sigma_mm[base] ** 2)))
+    # 8 x some 8000 heights: 4 standard deviations of a standard deviation are 1.1 %; modulation is noisy in sigma too.
+    assert rms(found.causes["noise"].alone_mm2) == pytest.approx(predicted, rel=0.03)
+
+
+def test_causes_of_an_unsaturated_scene_interact_little() -> None:
+    """With fringes ten pixels wide: width takes contrast, by which noise grows, from narrower ones."""
+    wide = {**PLAIN, "patterns.periods_px": [64.0, 1024.0]}
+    found = budget(scenes.load("step", wide), repeats=8)
+    assert set(CAUSES) - set(found.absent) == {"noise", "quantisation", "saturation", "footprint"}
+    for label in ("base", "step"):
+        region = found.regions[label]
+        assert region.total_mm2 is not None
+        assert abs(region.interaction_mm2 or 0) < 0.1 * region.total_mm2
+        assert region.causes["quantisation"].alone_mm2 == pytest.approx(
+            0, abs=1e-3 * region.total_mm2
+        )
+        assert region.causes["saturation"].coverage_removed == 0.0
+
+
+@pytest.mark.parametrize(
+    ("cause", "name", "overrides", "label"),
+    [
+        ("gamma", "step", {**PLAIN, "sensor.sigma_dn": 0.5, "projectors.0.gamma": 2.2, "patterns.steps": 3}, "base"),
+        ("render-noise", "interreflection", {**SMALL, "sampling.samples": 64, "sensor.psf": "none"}, "left"),
+        ("quantisation", "step", {**PLAIN, "sensor.bits": 4, "sensor.sigma_dn": 0.01, "exposures.auto.level_dn": 6.0}, "base"),
+    ],
+)  # fmt: skip
+def test_dominant_cause_has_the_largest_share(
+    cause: str, name: str, overrides: dict[str, object], label: str
+) -> None:
+    found = budget(scenes.load(name, overrides), repeats=2).regions[label]
+    alone = {c: s.alone_mm2 or 0.0 for c, s in found.causes.items()}
+    assert max(alone, key=lambda c: alone[c]) == cause
+    assert (found.causes[cause].removed_mm2 or 0) > 0.3 * (found.total_mm2 or 0)
+
+
+def test_pixels_bits_and_gamma_of_a_projector_have_rows_of_their_own() -> None:
+    quiet = {**PLAIN, "sensor.sigma_dn": 0.01, "sensor.bits": 16}
+    rows = {}
+    for bits in (5, 16):
+        found = budget(scenes.load("step", {**quiet, "projectors.0.bits": bits}), repeats=1)
+        assert "gamma" in found.absent
+        rows[bits] = found.regions["step"].causes
+    squares = [rms(rows[bits]["projector-pixels"].alone_mm2) for bits in (5, 16)]
+    assert squares[0] == pytest.approx(squares[1], rel=0.05)
+    # Squares err by up to half a projector pixel, rounding by less than a level of 2 ** bits: 16 bits are 2 ** 11 times finer
+    # than 5.
+    assert rms(rows[16]["projector-quantisation"].alone_mm2) < squares[1] / 50
+    assert rms(rows[5]["projector-quantisation"].alone_mm2) > 20 * rms(
+        rows[16]["projector-quantisation"].alone_mm2
+    )
+
+
+def test_vibration_alone_scatters_heights_by_061_of_it() -> None:
+    few = {"camera.resolution": [60, 45], "sensor.sigma_dn": 0.01}
+    scene = scenes.load("step", {**PLAIN, **few, "vibration_um": 5.0})
+    found = budget(scene, repeats=24).regions["step"].causes["vibration"]
+    # 24 repeats of about three independent displacements each: RMS known to 8 %.
+    assert rms(found.alone_mm2) == pytest.approx(np.sqrt(3 / 8) * 5e-3, rel=0.25)
+
+
+def test_causes_of_a_camera_are_found_in_its_scene() -> None:
+    scene = scenes.load(
+        "step",
+        {
+            **SMALL,
+            "sensor.psf": "diffraction",
+            "camera.vignetting": [-0.3],
+            "projectors.0.fluctuation": 0.01,
+            "exposures.relative": [1.0],
+        },
+    )
+    found = budget(scene, repeats=2)
+    assert {"psf", "vignetting", "source", "interreflection"} <= set(found.causes)
+    base = found.regions["base"].causes
+    # A gain that differs by 1 % between four steps: phase errors of 0.01 / sqrt(2 x 4) and, through the mean, twice that.
+    assert rms(base["source"].alone_mm2) > 5 * rms(abs(base["vignetting"].alone_mm2 or 0.0))
+
+
+def test_defocus_acts_through_noise_by_lowering_contrast() -> None:
+    """It moves no fringe: alone it does little, but removing it removes most of the noise it lets in."""
+    found = budget(scenes.load("defocus", {**SMALL, "sampling.samples": 64}), repeats=4).regions[
+        "step-9mm"
+    ]
+    defocus = found.causes["defocus"]
+    assert (defocus.removed_mm2 or 0) > 2 * abs(defocus.alone_mm2 or 0)
+    assert (found.interaction_mm2 or 0) > 0.3 * (found.total_mm2 or 0)
+
+
+def test_ignored_saturation_is_attributed_to_saturation() -> None:
+    trap = scenes.load("chapter-trap", {"camera.resolution": [200, 150], "sampling.samples": 16})
+    found = budget(trap, repeats=2, fusion="single", saturation="ignore").regions["highlight"]
+    clipped = found.causes["saturation"]
+    others = [s.alone_mm2 or 0 for c, s in found.causes.items() if c not in ("saturation", "noise")]
+    assert (clipped.alone_mm2 or 0) > 3 * max(others)
+    # The chapter's 0.1087 mm RMS is noise and saturation together; 0.094 to 0.109 with shading.
+    assert 0.07 < rms(clipped.alone_mm2) < 0.12
+
+
+def test_zero_repeats_are_refused() -> None:
+    with pytest.raises(FringebenchError, match="repeats"):
+        budget(scenes.load("step"), repeats=0)
+    assert len(set(CAUSES)) == len(CAUSES) == 14

@@ -1,0 +1,123 @@
+"""Every command's page: what it shows, and that a browser shows it."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import scenes
+from evaluation.gate.equivalence import Estimate, compare
+from evaluation.gate.regression import JudgedFigure
+from evaluation.scoring.error_budget import budget, variants
+from fringebench.datasets.building import build
+from fringebench.datasets.dataset_plan import DatasetPlan
+from fringebench.datasets.overview_page import write_report
+from fringebench.exchange.viewer import read_view, write_view
+from fringebench.experiments.hdr_comparison import compare as compare_strategies
+from fringebench.experiments.textbook import CAPTURES, ChapterResult, ChapterRow
+from fringebench.gate.regression_gate import Regression
+from fringebench.pages.budget_page import budget_figure, budget_report
+from fringebench.pages.chapter_page import CAPTIONS, chapter_report
+from fringebench.pages.compare_page import compare_report
+from fringebench.pages.regress_page import regress_report
+
+SMALL = {"camera.resolution": [64, 48], "sampling.samples": 2}
+PAGES = ("chapter", "compare", "regress", "budget", "dataset", "view")
+
+
+def _regression() -> Regression:
+    rows = []
+    for metric, new in (("bias_mm", 0.5), ("systematic_mm", 0.1), ("silent_fraction", 0.11)):
+        old = Estimate(0.1, 0.01, 8)
+        estimate = Estimate(new, 0.01, 8)
+        rows.append(
+            JudgedFigure("sweep", "ink", metric, estimate, old, compare(estimate, old, 0.1))
+        )
+    return Regression("my:decoder", "baseline.json", tuple(rows), {})
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory: pytest.TempPathFactory, small_run: Path) -> Path:
+    """One page of each command."""
+    out = tmp_path_factory.mktemp("pages")
+    scene = scenes.load("bench", SMALL)
+    compared = compare_strategies(scene, ["max-modulation", "censored-ml"], 2)
+    compare_report(compared, scenes.dumps(scene), {"all": 1.0}).write(out / "compare.html")
+    regress_report(_regression(), {}).write(out / "regress.html")
+    rng = np.random.default_rng(0)
+    errors = {on: rng.normal(0.0, 1e-3 * (1 + len(on)), (2, 8, 8)) for on in variants(["a", "b"])}
+    found = budget("bench", ["a", "b"], errors, {"base": np.ones((8, 8), bool)})
+    budget_report(found, scenes.dumps(scene), 0, {}).write(out / "budget.html")
+    row = ChapterRow("apex_clean_mm", 5.994, 5.994, 5.993, f"over {CAPTURES} captures")
+    figure = budget_figure(found)
+    chapter_report(ChapterResult((row,)), dict.fromkeys(CAPTIONS, figure), {}, 0, {}).write(
+        out / "chapter.html"
+    )
+    build(DatasetPlan.of(scenes.load("spi", SMALL), 2, 0), out / "set")
+    write_report(out / "set")
+    (out / "set" / "report.html").rename(out / "dataset.html")
+    write_view(read_view(small_run / "stack.exr"), "stack.exr", out / "view.html")
+    return out
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("chapter", ["apex_clean_mm", "5.9940", "5.9930"]),
+        ("compare", ["max-modulation", "censored-ml", "Cramér", "solder"]),
+        ("regress", ["1 of 3 figures failed", "sweep / ink: bias", "worse"]),
+        ("budget", ["interaction", "method itself", "base"]),
+        ("dataset", ["train", "spi", "dataset.toml"]),
+        ("view", ["saturated", "calibration"]),
+    ],
+)
+def test_page_shows_what_its_command_found(pages: Path, name: str, words: list[str]) -> None:
+    text = (pages / f"{name}.html").read_text("utf-8")
+    for word in words:
+        assert word in text
+    assert "<img" in text
+    assert "http://" not in text.replace("http://www.w3.org", "")
+
+
+def test_data_set_with_its_page_is_verified(pages: Path) -> None:
+    from fringebench.datasets.verification import verify
+
+    write_report(pages / "set")
+    assert verify(pages / "set") == ()
+
+
+@pytest.fixture
+def tab(browser: Any) -> Iterator[Any]:
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.said = []
+    page.on("console", lambda m: page.said.append(m.text) if m.type == "error" else None)
+    page.on("pageerror", lambda e: page.said.append(str(e)))
+    page.on("request", lambda r: page.said.append(r.url) if r.url.startswith("http") else None)
+    yield page
+    page.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PAGES)
+def test_page_fits_a_narrow_screen_and_has_no_empty_figures(
+    pages: Path, tab: Any, name: str
+) -> None:
+    tab.goto((pages / f"{name}.html").as_uri())
+    sizes = tab.eval_on_selector_all("img", "all => all.map(i => i.clientWidth * i.clientHeight)")
+    assert sizes
+    assert min(sizes) > 10_000
+    tab.set_viewport_size({"width": 360, "height": 700})
+    assert tab.evaluate("() => document.documentElement.scrollWidth - window.innerWidth") <= 0
+    assert tab.said == []
+
+
+@pytest.mark.slow
+def test_printed_page_fits_its_figures(pages: Path, tab: Any) -> None:
+    tab.goto((pages / "compare.html").as_uri())
+    tab.emulate_media(media="print")
+    tab.set_viewport_size({"width": 794, "height": 1123})  # A4 at 96 dpi
+    widths = tab.eval_on_selector_all("img", "all => all.map(i => i.getBoundingClientRect().right)")
+    assert max(widths) <= 794
+    assert tab.locator("nav").is_hidden()

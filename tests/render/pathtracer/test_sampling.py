@@ -1,0 +1,56 @@
+"""Random numbers: each uniform, pairs stratified, pixels' places in opposite pairs."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from render.pathtracer import sampling
+from render.plugins.variant import dr, mi, use
+
+
+def points(streams: int, samples: int, dimension: int = 3, seed: int = 0) -> NDArray[np.float32]:
+    """(stream, sample, 2)."""
+    use()
+    index = dr.arange(mi.UInt32, streams * samples)
+    key = sampling.stream(seed, index // samples)
+    drawn = sampling.point(key, mi.UInt32(dimension), index % samples)
+    return np.array(drawn).T.reshape(streams, samples, 2)
+
+
+def test_sixteen_samples_of_a_stream_fill_every_elementary_rectangle_once() -> None:
+    drawn = points(200, 16)
+    for columns in (1, 2, 4, 8, 16):
+        cell = np.floor(drawn * (columns, 16 // columns)).astype(int)
+        where = cell[..., 0] * (16 // columns) + cell[..., 1]
+        np.testing.assert_array_equal(np.sort(where, axis=1), np.tile(np.arange(16), (200, 1)))
+
+
+def test_single_sample_is_uniform_over_streams() -> None:
+    drawn = points(40_000, 1)[:, 0]
+    assert drawn.min() >= 0
+    assert drawn.max() < 1
+    for axis in range(2):
+        assert stats.kstest(drawn[:, axis], "uniform").pvalue > 1e-3
+
+
+def test_dimensions_seeds_and_streams_are_uncorrelated() -> None:
+    base = points(20_000, 4).reshape(-1, 2)
+    others = [
+        points(20_000, 4, dimension=4).reshape(-1, 2),
+        points(20_000, 4, seed=1).reshape(-1, 2),
+        np.roll(points(20_000, 4), 1, axis=0).reshape(-1, 2),
+    ]
+    bound = 4 / np.sqrt(len(base))
+    assert abs(np.asarray(np.corrcoef(base.T))[0, 1]) < bound
+    for other in others:
+        table = np.asarray(np.corrcoef(base.T, other.T))[:2, 2:]
+        assert np.abs(table).max() < bound
+
+
+def test_places_in_a_pixel_lie_in_pairs_opposite_about_its_centre() -> None:
+    use()
+    index = dr.arange(mi.UInt32, 64)
+    place = np.array(sampling.pixel_point(sampling.stream(7, mi.UInt32(11)), index)).T
+    assert ((place >= 0) & (place < 1)).all()
+    np.testing.assert_allclose(place[0::2] + place[1::2], 1, atol=2e-7)
+    assert len(np.unique(place[0::2], axis=0)) == 32

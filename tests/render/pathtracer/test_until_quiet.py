@@ -1,0 +1,177 @@
+"""Tracing to a share of the sensor's noise: the noise stated is the scatter between seeds, and nothing is biased."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import stats
+
+import render
+import scenes
+from render.pathtracer import block_light
+from render.pathtracer.path_budget import PILOT_PLACES, Pilot, blocks_needed
+from scenes.support.errors import RenderError, SceneError
+from tests.render import rigs
+
+# Fringes four times as wide, which so few pixels still see.
+SMALL = {"camera.resolution": [40, 30], "patterns.periods_px": [64.0, 256.0, 1024.0]}
+
+
+def phasor(light: render.Transport) -> NDArray[np.complex128]:
+    """(row, col) B exp(i phi) of the finest column fringe, the first of the basis after the mean."""
+    assert [c.kind for c in light.bases[0].channels[1:3]] == ["cos", "sin"]
+    return np.asarray(light.total[0, 1] + 1j * light.total[0, 2], dtype=np.complex128)
+
+
+# Some seeds miss the target on the few pixels of solder; what is stated must be right all the same.
+@pytest.mark.filterwarnings("ignore:noise of light paths")
+@pytest.mark.slow
+def test_stated_noise_is_the_scatter_between_seeds() -> None:
+    # Noise is that of the light in front of the lens.
+    scene = scenes.load("bench", SMALL | {"sensor.psf": "none"})
+    traced = [render.trace(scene, seed=seed, render_noise=1.0) for seed in range(16)]
+    z = np.stack([phasor(light) for light in traced])
+    noise = [light.render_noise_rad for light in traced]
+    stated = np.mean([image**2 for image in noise if image is not None], axis=0)
+    mean = z.mean(axis=0)
+    seen = np.var((z * mean.conj()).imag / np.abs(mean) ** 2, axis=0, ddof=1)
+    # Of a pixel at a shadow's border few places may all be dark: then nothing is stated.
+    lit = (np.abs(mean) >= 0.1 * np.median(np.abs(mean))) & np.isfinite(stated)
+    # The noisiest pixels, whose law has the longest tails, are left out of both alike: by what was stated.
+    quiet = lit & (stated < np.quantile(stated[lit], 0.98))
+    # Of 16 seeds a pixel's variance is known to sqrt(2 / 15) = 37 % by a normal law, by twice that with tails; noise is
+    # spread over hundreds of pixels: 5 %.
+    assert np.sqrt(seen[quiet].mean() / stated[quiet].mean()) == pytest.approx(1.0, abs=0.15)
+
+
+def test_light_is_that_of_the_plain_pass() -> None:
+    scene = rigs.scene(rigs.pinhole(), rigs.pinhole_projector(), objects=rigs.groove(), depth=4)
+
+    def mean(light: render.Transport) -> float:
+        return float((light.total[0, 0] - light.direct[0, 0]).mean(dtype=np.float64))
+
+    plain = [mean(render.trace(scene, seed=100 + seed, samples=128)) for seed in range(12)]
+    quiet = [mean(render.trace(scene, seed=seed, render_noise=1.0)) for seed in range(24)]
+    assert stats.ttest_ind(quiet, plain, equal_var=False).pvalue > 1e-3
+    # Teeth: a bias of 5 % would be seen.
+    assert stats.sem(quiet) < 0.01 * np.mean(plain)
+
+
+def test_paths_that_end_by_chance_lose_no_light() -> None:
+    groove = rigs.scene(rigs.pinhole(), rigs.pinhole_projector(), objects=rigs.groove())
+
+    def mean(depth: int, seed: int) -> float:
+        light = render.trace(groove, seed=seed, samples=64, depth=depth)
+        return float((light.total[0, 0] - light.direct[0, 0]).mean(dtype=np.float64))
+
+    # At 8 vertices nothing ends by chance; what is cut there is below 1e-3 of the light.
+    cut, whole = ([mean(depth, seed) for seed in range(20)] for depth in (8, 64))
+    assert stats.ttest_ind(cut, whole, equal_var=False).pvalue > 1e-3
+    assert stats.sem(whole) < 0.01 * np.mean(cut)
+
+
+def test_every_label_reaches_the_share_asked_for() -> None:
+    light = render.trace(scenes.load("step", SMALL), render_noise=0.5)
+    assert light.render_noise is not None
+    assert light.render_noise.met
+    assert set(light.render_noise.reached) == {"base", "step"}
+    assert all(
+        ratio is not None and ratio <= 0.525 for ratio in light.render_noise.reached.values()
+    )
+
+
+def test_labels_not_asked_for_get_few_paths() -> None:
+    # With blur, noise of the solder next to it would come into the base.
+    scene = scenes.load("solder", {**SMALL, "sampling.render_noise": 0.3, "sensor.psf": "none"})
+    every = render.trace(scene)
+    only = scene.sampling.model_copy(update={"labels": ("base",)})
+    one = render.trace(scene.model_copy(update={"sampling": only}))
+    assert every.render_noise is not None
+    assert one.render_noise is not None
+    assert set(one.render_noise.reached) == {"base"}
+    assert one.render_noise.paths < every.render_noise.paths
+
+
+def test_same_seed_gives_the_same_bits_however_lanes_are_cut(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene = scenes.load("step", SMALL)
+    once = render.trace(scene, seed=3, render_noise=1.0)
+    monkeypatch.setattr(block_light, "FIRST_CHUNK_PATHS", 700)
+    again, other = (render.trace(scene, seed=seed, render_noise=1.0) for seed in (3, 4))
+    np.testing.assert_array_equal(once.total, again.total)
+    assert once.noise_rad is not None
+    assert again.noise_rad is not None
+    np.testing.assert_array_equal(once.noise_rad, again.noise_rad)
+    assert (once.total != other.total).mean() > 0.5
+
+
+def test_paths_meet_the_target_with_minimum_work_when_variances_are_known() -> None:
+    # Half the pixels are ten times as dark: their phase is ten times as noisy, and so are the sensor's samples.
+    shape = (20, 40)
+    modulation = np.where(np.arange(40) < 20, 1.0, 0.1) * np.ones(shape)
+    every = np.ones(shape, np.bool_)
+    light = np.full(shape, 0.5)
+    pilot = Pilot(
+        np.ones(shape, np.uint16),
+        every,
+        every,
+        modulation,
+        light,
+        0.01 / modulation,
+        0.5 / modulation**2,
+        np.zeros(shape),
+        np.ones(2),
+    )
+    blocks = blocks_needed(pilot, {1: 1.0}, 1 << 20, indirect=True, lens=False)
+    paths = (blocks.number * blocks.paths).reshape(shape)
+    assert paths[0, 30] / paths[0, 10] == pytest.approx(10.0, rel=0.02)
+    variance = (pilot.path_variance / paths).sum() / (pilot.sensor_rad**2).sum()
+    # Just below what is left for indirect light (85 %): 800 equal estimates are known to 2 / sqrt(800) = 7 %, counted on top.
+    assert 0.85 / 1.1 < variance < 0.85
+    assert (blocks.places % 2 == 0).all()
+    assert PILOT_PLACES % 2 == 0
+
+
+def test_file_keeps_noise_and_what_was_reached(tmp_path: Path) -> None:
+    scene = scenes.load("step", {**SMALL, "patterns.axes": ["column", "row"]})
+    light = render.trace(scene, render_noise=2.0)
+    light.write(tmp_path / "transport.exr")
+    again = render.Transport.read(tmp_path / "transport.exr")
+    assert again.render_noise == light.render_noise
+    assert light.noise_rad is not None
+    assert light.noise_rad.shape == (2, 1, 30, 40)
+    np.testing.assert_array_equal(again.noise_rad, light.noise_rad)
+    truth = render.truth(scene, again)
+    truth.write(tmp_path / "truth.exr")
+    kept = scenes.Truth.read(tmp_path / "truth.exr").render_noise_mm
+    np.testing.assert_array_equal(kept, truth.render_noise_mm)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "arguments", "said"),
+    [
+        ({}, {"render_noise": 0.5, "samples": 4}, "give one of the two"),
+        ({"patterns": {"kind": "gray-code", "bits": [10]}}, {"render_noise": 0.5}, "no fringes"),
+        ({"sampling.labels": ["stepp"]}, {"render_noise": 0.5}, "no label 'stepp'"),
+    ],
+)
+def test_impossible_requests_are_named(
+    overrides: dict[str, object], arguments: dict[str, float], said: str
+) -> None:
+    with pytest.raises(RenderError, match=said):
+        render.trace(scenes.load("step", {**SMALL, **overrides}), **arguments)  # type: ignore[arg-type]
+
+
+def test_share_outside_zero_to_one_is_refused() -> None:
+    with pytest.raises(SceneError, match="render_noise"):
+        scenes.load("step", {"sampling.render_noise": 0.0})
+
+
+def test_override_of_the_stopping_rule_replaces_the_scenes() -> None:
+    scene = scenes.load("step", {"sampling.render_noise": 0.5})
+    text = scenes.dumps(scene)
+    assert scenes.parse(text).sampling.render_noise == 0.5
+    assert scenes.parse(text, {"sampling.samples": 8}).sampling.render_noise is None
+    assert scenes.parse(text, {"sampling.phase_error_rad": 0.1}).sampling.render_noise is None
