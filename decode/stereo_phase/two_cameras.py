@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decode.fusion.interface import FusionRule
+from decode.one_camera import decode_fringes
 from decode.options import Anchor, Backend, Gamma, Options, Roi, Saturation, Unwrap, known_options
 from decode.phase.n_step import TURN, fringe_sets, solution
-from decode.pipeline import reconstruct_with
 from decode.reason import Reason
 from decode.reconstruction import Reconstruction
 from decode.stereo_phase.epipolar_grid import Baseline, EpipolarGrid, interpolated
@@ -182,7 +182,7 @@ class _Maps:
 
 
 def _maps(stack: Stack, options: Options) -> _Maps:
-    rec = reconstruct_with(stack, options)
+    rec = decode_fringes(stack, options)
     at, sigma = {}, {}
     sets = fringe_sets(stack.patterns, 0)
     variance = stack.sensor.variance_dn2(rec.offset_dn, max(stack.exposure_ms))
