@@ -227,6 +227,8 @@ def dataset(
     splits: Mapping[str, float] | None = None,
     picture: bool = True,
     heights: bool = False,
+    variants: int = 1,
+    ring_light: bool = False,
     workers: int = 1,
     scheduler: str | None = None,
     strict: bool = False,
@@ -253,6 +255,10 @@ def dataset(
         Give each sample ``picture.png``, the 8-bit picture that a 2-D camera sees; COCO labels refer to it.
     heights
         Give each sample its measured heights: ``height.png`` (16 bits) and ``reconstruction.exr``.
+    variants
+        Samples that share one light: only noise, and what is drawn for sensor and exposures, differ.
+    ring_light
+        Give each sample ``colour.png``, a 2-D camera's colour picture under red, green and blue ring lights.
     workers
         Processes of one core each.
     scheduler
@@ -286,7 +292,9 @@ def dataset(
     from fringebench.datasets.overview_page import write_report
 
     shares = None if splits is None else dict(splits)
-    plan = DatasetPlan.of(_scene(scene), count, seed, shares, picture, heights)
+    plan = DatasetPlan.of(
+        _scene(scene), count, seed, shares, picture, heights, variants, ring_light
+    )
     built = build(plan, folder, workers, scheduler, strict, progress)
     write_report(str(folder))
     return built

@@ -19,7 +19,8 @@ PLAN_FILE = "dataset.toml"
 ALWAYS = ("stack.exr", "truth.exr", "scene.toml", "labels.json")
 PICTURE = "picture.png"
 HEIGHTS = ("height.png", "reconstruction.exr")
-EVERY_FILE = (*ALWAYS, PICTURE, *HEIGHTS)
+COLOUR = "colour.png"
+EVERY_FILE = (*ALWAYS, PICTURE, *HEIGHTS, COLOUR)
 SPLITS = {"train": 0.8, "val": 0.1, "test": 0.1}
 
 SplitName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=32)]
@@ -39,6 +40,8 @@ class DatasetPlan(Frozen):
     """Each sample has ``picture.png``."""
     heights: bool = False
     """Each sample has measured heights: ``height.png`` and ``reconstruction.exr``."""
+    ring_light: bool = False
+    """Each sample has ``colour.png``, a picture under ring lights."""
     variants: Annotated[int, Field(ge=1, le=1000)] = 1
     """Samples that share one light and differ in noise, and in what is drawn for sensor and exposures."""
     made_with: dict[str, str] = {}
@@ -63,6 +66,7 @@ class DatasetPlan(Frozen):
         picture: bool = True,
         heights: bool = False,
         variants: int = 1,
+        ring_light: bool = False,
     ) -> Self:
         """The plan of `count` samples of a scene; `DatasetError` if there cannot be one."""
         try:
@@ -73,6 +77,7 @@ class DatasetPlan(Frozen):
                 picture=picture,
                 heights=heights,
                 variants=variants,
+                ring_light=ring_light,
                 scene=tomllib.loads(dumps(scene)),
             )
         except ImpossibleError as error:
@@ -103,7 +108,9 @@ class DatasetPlan(Frozen):
     @property
     def sample_files(self) -> tuple[str, ...]:
         """Names of the files of every sample."""
-        return (*ALWAYS, *((PICTURE,) if self.picture else ()), *(HEIGHTS if self.heights else ()))
+        asked = (self.picture, self.heights, self.ring_light)
+        groups = zip(asked, ((PICTURE,), HEIGHTS, (COLOUR,)), strict=True)
+        return (*ALWAYS, *(name for wanted, names in groups if wanted for name in names))
 
     def load_scene(self) -> Scene:
         """The scene that samples are drawn from."""
@@ -134,7 +141,7 @@ class DatasetPlan(Frozen):
                 f"'{where}' holds a data set of another scene (they differ in {', '.join(keys[:5])}): "
                 "use the same scene and settings to continue it, or another folder"
             )
-        for key in ("seed", "splits", "picture", "heights", "variants"):
+        for key in ("seed", "splits", "picture", "heights", "variants", "ring_light"):
             old, new = getattr(other, key), getattr(self, key)
             if old != new:
                 raise DatasetError(

@@ -96,7 +96,8 @@ def _record(row: dict[str, object]) -> Record:
     files = {}
     for name in EVERY_FILE:
         stem = name.replace(".", "_")
-        size, digest = row[f"{stem}_bytes"], row[f"{stem}_sha256"]
+        # Absent in data sets made before there was such a file.
+        size, digest = row.get(f"{stem}_bytes"), row.get(f"{stem}_sha256")
         if digest is not None:
             files[name] = FileSum.model_validate({"bytes": size, "sha256": digest})
     plain = {name: row[name] for name, _ in _PLAIN if name != "folder"}

@@ -60,13 +60,22 @@ def camera_picture(stack: Stack) -> NDArray[np.uint8]:
     mean = stack.frames[len(stack.exposure_ms) // 2].mean(axis=0, dtype=np.float64)
     black = float(stack.sensor.black_level_dn)
     white = stack.saturation_dn if np.isfinite(stack.saturation_dn) else float(mean.max())
-    linear = np.clip((mean - black) / max(white - black, 1e-12), 0.0, 1.0)
+    return srgb((mean - black) / max(white - black, 1e-12))
+
+
+def srgb(linear: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """Linear light on the sRGB curve in 8 bits; 1 and more is 255.
+
+    >>> srgb(np.array([0.0, 0.2, 1.5]))
+    array([  0, 124, 255], dtype=uint8)
+    """
+    linear = np.clip(linear, 0.0, 1.0)
     curve = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     picture: NDArray[np.uint8] = np.rint(255.0 * curve).astype(np.uint8)
     return picture
 
 
 def write_png(image: NDArray[np.uint8] | NDArray[np.uint16], path: Path) -> None:
-    """Write a grey picture, (row, col) of 8 or 16 bits, atomically."""
+    """Write a grey picture (row, col) of 8 or 16 bits, or a colour one (row, col, 3) of 8, atomically."""
     with replacing(path) as staged:
         Image.fromarray(image).save(staged, format="PNG")

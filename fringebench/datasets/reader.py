@@ -70,14 +70,12 @@ class Sample:
     @cached_property
     def picture(self) -> NDArray[np.uint8]:
         """``picture.png``: (row, col), 0 to 255."""
-        import numpy as np
-        from PIL import Image
+        return self._image("picture.png")
 
-        with (
-            self.store.local(self._name("picture.png")) as path,
-            Image.open(path or self._missing("picture.png")) as image,
-        ):
-            return np.asarray(image)
+    @cached_property
+    def colour(self) -> NDArray[np.uint8]:
+        """``colour.png``: (row, col, channel), 0 to 255; only in data sets made with `ring_light`."""
+        return self._image("colour.png")
 
     @cached_property
     def reconstruction(self) -> Reconstruction:
@@ -110,6 +108,16 @@ class Sample:
         """The scene as drawn: `render.trace` of it with the `light_seed` of `labels` gives this sample's light."""
         return parse(self._text("scene.toml"), where=self._name("scene.toml"))
 
+    def _image(self, file: str) -> NDArray[np.uint8]:
+        import numpy as np
+        from PIL import Image
+
+        with (
+            self.store.local(self._name(file)) as path,
+            Image.open(path or self._missing(file)) as image,
+        ):
+            return np.asarray(image)
+
     def _name(self, file: str) -> str:
         return f"{self.record.folder}/{file}"
 
@@ -121,7 +129,7 @@ class Sample:
         place = f"'{self.store.where}/{self._name(file)}'"
         if not self.record.files.get(file):
             raise DatasetError(
-                f"{place} is not part of this data set: make one with --heights, or with --picture"
+                f"{place} is not part of this data set: make one with --picture, --heights or --ring-light"
             )
         raise DatasetError(f"{place} is missing: fringebench dataset --repair makes it again")
 

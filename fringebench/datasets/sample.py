@@ -2,15 +2,16 @@
 
 import hashlib
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fringebench.datasets.dataset_plan import HEIGHTS, PICTURE, DatasetPlan
-from fringebench.datasets.pictures import HeightCode, camera_picture, write_png
+from fringebench.datasets.dataset_plan import COLOUR, HEIGHTS, PICTURE, DatasetPlan
+from fringebench.datasets.pictures import HeightCode, camera_picture, srgb, write_png
 from scenes.files.stack import Stack
 from scenes.files.truth_maps import Truth
 from scenes.labels.coco_format import categories, coco
@@ -129,9 +130,10 @@ class _Content:
         measured: "Reconstruction | None",
         labels: dict[str, Any],
         picture: bool,
+        colour: NDArray[np.float32] | None,
     ) -> None:
         self.scene, self.stack, self.truth, self.labels = scene, stack, truth, labels
-        self.measured, self.picture = measured, picture
+        self.measured, self.picture, self.colour = measured, picture, colour
 
     @classmethod
     def of(cls, plan: DatasetPlan, scene: Scene, index: int) -> "_Content":
@@ -143,7 +145,7 @@ class _Content:
         drawn = realise(scene, index, plan.seed, lit)
         # Of the first variant: render noise is relative to the sensor's, and all of them must share one light.
         first = realise(scene, lit * plan.variants, plan.seed, lit)
-        transport, truth = _light(dumps(first), light)
+        transport, truth, colour = _light(dumps(first), light, plan.ring_light)
         transport = replace(transport, scene=drawn)
         stack = render.expose(transport, seed=noise)
         labels = {
@@ -159,11 +161,13 @@ class _Content:
         }
         if (reached := transport.render_noise or transport.phase_error) is not None:
             labels["light"] = reached.to_dict() | {"samples": transport.samples}
+        if plan.ring_light:
+            labels["rings"] = [asdict(ring) for ring in render.RINGS]
         measured = None
         if plan.heights:
             measured = decode.reconstruct(stack)
             labels["height_png"] = HeightCode.of_range(*drawn.height_range_mm).to_dict()
-        return cls(drawn, stack, truth, measured, labels, plan.picture)
+        return cls(drawn, stack, truth, measured, labels, plan.picture, colour)
 
     @property
     def drawn(self) -> dict[str, Any]:
@@ -176,6 +180,8 @@ class _Content:
         save(self.scene, folder / "scene.toml")
         if self.picture:
             write_png(camera_picture(self.stack), folder / PICTURE)
+        if self.colour is not None:
+            write_png(srgb(self.colour), folder / COLOUR)
         if self.measured is not None:
             code = HeightCode.of_range(*self.scene.height_range_mm)
             write_png(
@@ -188,14 +194,17 @@ class _Content:
 
 
 @lru_cache(maxsize=1)
-def _light(scene_text: str, seed: int) -> "tuple[Transport, Truth]":
-    """Light and truth of a scene; the next variant of a sample uses the same."""
+def _light(
+    scene_text: str, seed: int, ring_light: bool
+) -> "tuple[Transport, Truth, NDArray[np.float32] | None]":
+    """Light, truth and colour picture of a scene; the next variant of a sample uses the same."""
     import render
 
     scene = parse(scene_text)
     surfaces = render.surfaces(scene)
     transport = render.trace(scene, seed=seed, surfaces=surfaces)
-    return transport, render.truth(scene, transport, surfaces)
+    colour = render.ring_light_picture(scene, seed, surfaces) if ring_light else None
+    return transport, render.truth(scene, transport, surfaces), colour
 
 
 def _drawn(scene: Scene, drawn: Scene) -> dict[str, Any]:

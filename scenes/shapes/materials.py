@@ -13,6 +13,10 @@ from scenes.support.frozen import Frozen
 
 Reflectance = Annotated[float, Field(ge=0.0, le=1.0)]
 Roughness = Annotated[float, Field(gt=0.0, le=1.0)]
+# Typical peaks of red, green and blue LEDs, to which a material's `rgb` belongs.
+RGB_NM = (630.0, 525.0, 465.0)
+Rgb = tuple[Reflectance, Reflectance, Reflectance]
+Index = tuple[PositiveFloat, NonNegativeFloat]
 
 
 class Diffuse(Frozen):
@@ -20,6 +24,8 @@ class Diffuse(Frozen):
 
     kind: Literal["diffuse"] = "diffuse"
     reflectance: Reflectance
+    rgb: Rgb | None = None
+    """Reflectance at 630, 525 and 465 nm, for colour pictures; absent: the same at each."""
 
 
 class Glossy(Frozen):
@@ -28,6 +34,8 @@ class Glossy(Frozen):
     kind: Literal["glossy"] = "glossy"
     reflectance: Reflectance
     """Diffuse albedo of the body."""
+    rgb: Rgb | None = None
+    """Albedo at 630, 525 and 465 nm, for colour pictures; absent: the same at each."""
     ior: Annotated[float, Field(gt=1.0, le=3.0)] = 1.5
     """Refractive index of the skin."""
     roughness: Roughness = 0.1
@@ -42,6 +50,8 @@ class Conductor(Frozen):
     """Real part of the complex refractive index."""
     k: NonNegativeFloat
     """Imaginary part (extinction)."""
+    rgb: tuple[Index, Index, Index] | None = None
+    """eta and k at 630, 525 and 465 nm, for colour pictures; absent: the same at each."""
     roughness: Annotated[float, Field(ge=0.0, le=1.0)] = 0.2
     """GGX roughness; 0 is a mirror."""
 
@@ -69,24 +79,48 @@ Material = Annotated[Diffuse | Glossy | Conductor | Dielectric, Field(discrimina
 # Copper, gold: P. B. Johnson and R. W. Christy, Phys. Rev. B 6, 4370 (1972), interpolated between 2.01 and 2.14 eV.
 # Roughness: reflowed solder is smooth, finely ground metal and plated finishes scatter more, paste whose grains
 # are not resolved most of all; assumed, not measured.
-# Inks and masks: epoxy skin, n = 1.55; body albedos are typical of the black and green sort, assumed, not measured.
+# Inks and masks: epoxy skin, n = 1.55; body albedos, and those of laminate, are typical of their colour, assumed, not measured.
+# Colours: copper's and gold's indices are Johnson and Christy's table again, linear in photon energy between its rows. Tin and
+# solder are taken as neutral: their reflectance hardly changes over the visible.
 # Flux: rosin (abietic acid), n = 1.545; wet, so nearly smooth. It is clear and brown; here it is an opaque body under a
 # skin, because below the grains are more grains, which return little.
 LIBRARY: dict[str, Material] = {
     "white-paint": Diffuse(reflectance=0.8),
     "grey-paint": Diffuse(reflectance=0.5),
     "black-ink": Glossy(reflectance=0.04, ior=1.55, roughness=0.25),
-    "solder-mask-green": Glossy(reflectance=0.12, ior=1.55, roughness=0.15),
-    "laminate": Diffuse(reflectance=0.35),
+    "solder-mask-green": Glossy(reflectance=0.12, rgb=(0.04, 0.16, 0.05), ior=1.55, roughness=0.15),
+    "solder-mask-blue": Glossy(reflectance=0.05, rgb=(0.03, 0.08, 0.25), ior=1.55, roughness=0.15),
+    "solder-mask-black": Glossy(reflectance=0.04, ior=1.55, roughness=0.15),
+    "solder-mask-white": Glossy(reflectance=0.75, ior=1.55, roughness=0.15),
+    "laminate": Diffuse(reflectance=0.35, rgb=(0.38, 0.33, 0.2)),
     "flux": Glossy(reflectance=0.15, ior=1.545, roughness=0.1),
     "resin": Dielectric(ior=1.5, roughness=0.4),
     "mirror": Conductor(eta=1.48, k=5.25, roughness=0.0),
     "solder-paste": Conductor(eta=1.48, k=5.25, roughness=0.5),
     "solder": Conductor(eta=1.48, k=5.25, roughness=0.25),
     "tin": Conductor(eta=1.48, k=5.25, roughness=0.15),
-    "copper": Conductor(eta=0.59, k=2.84, roughness=0.3),
-    "gold": Conductor(eta=0.27, k=2.95, roughness=0.25),
+    "copper": Conductor(
+        eta=0.59, k=2.84, rgb=((0.27, 3.38), (1.15, 2.60), (1.25, 2.46)), roughness=0.3
+    ),
+    "gold": Conductor(
+        eta=0.27, k=2.95, rgb=((0.19, 3.41), (0.59, 2.14), (1.33, 1.87)), roughness=0.25
+    ),
 }
+
+
+def in_colour(of: Material, number: int) -> Material:
+    """A material as red (0), green (1) or blue (2) light sees it.
+
+    >>> in_colour(LIBRARY["copper"], 2).eta
+    1.25
+    """
+    match of:
+        case Diffuse() | Glossy() if of.rgb is not None:
+            return of.model_copy(update={"reflectance": of.rgb[number]})
+        case Conductor() if of.rgb is not None:
+            eta, k = of.rgb[number]
+            return of.model_copy(update={"eta": eta, "k": k})
+    return of
 
 
 def material(name: str, own: dict[str, Material]) -> Material:

@@ -58,6 +58,13 @@ def dataset(
         bool,
         typer.Option(help="picture.png in each sample: 8 bits, what a 2-D camera sees; for COCO."),
     ] = True,
+    ring_light: Annotated[
+        bool,
+        typer.Option(
+            "--ring-light",
+            help="colour.png in each sample: a 2-D camera's colour picture under red, green and blue ring lights.",
+        ),
+    ] = False,
     heights: Annotated[
         bool,
         typer.Option(
@@ -123,7 +130,9 @@ def dataset(
         from fringebench.datasets.dataset_plan import DatasetPlan
 
         loaded = scenes.load(scene, parse_overrides(settings, phase_error, render_noise))
-        plan = DatasetPlan.of(loaded, count, seed, _splits(split), picture, heights, variants)
+        plan = DatasetPlan.of(
+            loaded, count, seed, _splits(split), picture, heights, variants, ring_light
+        )
         answer = _build(plan, output, processes, scheduler, strict, progress)
         if format_ == "webdataset":
             from fringebench.datasets.shards import write_shards

@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import render
 from fringebench.datasets.building import build
 from fringebench.datasets.data_card import write_card
 from fringebench.datasets.dataset_plan import DatasetPlan
+from fringebench.datasets.pictures import srgb
 from fringebench.datasets.reader import Dataset
 from fringebench.datasets.sample import attempt
 from fringebench.datasets.shards import write_shards
@@ -18,12 +20,24 @@ from fringebench.datasets.verification import verify
 
 @pytest.fixture(scope="module")
 def varied(plan: DatasetPlan, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four samples of two lights."""
+    """Four samples of two lights, with colour pictures."""
     where = tmp_path_factory.mktemp("varied") / "set"
     noise = {"kind": "uniform", "low": 1.0, "high": 9.0}
     scene = plan.scene | {"randomise": {"sensor.read_noise_e": noise}}
-    build(plan.model_copy(update={"variants": 2, "count": 4, "scene": scene}), where)
+    asked = {"variants": 2, "count": 4, "scene": scene, "ring_light": True}
+    build(plan.model_copy(update=asked), where)
     return where
+
+
+def test_colour_picture_is_the_scene_under_ring_lights(varied: Path) -> None:
+    sample = Dataset(varied)[1]
+    linear = render.ring_light_picture(sample.scene, sample.labels["light_seed"])
+    np.testing.assert_array_equal(sample.colour, srgb(linear))
+    assert [ring["colour"] for ring in sample.labels["rings"]] == ["red", "green", "blue"]
+    # The green mask covers most of the board.
+    _red, green, blue = (int(np.median(channel)) for channel in np.moveaxis(sample.colour, 2, 0))
+    assert green > blue
+    assert len({s.record.files["colour.png"] for s in Dataset(varied)}) == 2
 
 
 def test_variants_share_light_and_split_and_differ_in_noise(varied: Path, tmp_path: Path) -> None:
