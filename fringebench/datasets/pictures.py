@@ -1,54 +1,13 @@
-"""A sample as pictures that any program opens: the grey picture of a 2-D camera, and measured heights in 16 bits."""
+"""A sample as pictures that any program opens."""
 
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from PIL import Image
 
 from scenes.files.stack import Stack
 from scenes.support.atomic_file import replacing
-
-HIGHEST = 65535
-
-
-@dataclass(frozen=True)
-class HeightCode:
-    """Heights as 16-bit numbers: ``height_mm = offset_mm + step_mm * number``; 0 means no height."""
-
-    offset_mm: float
-    step_mm: float
-
-    @classmethod
-    def of_range(cls, low_mm: float, high_mm: float) -> "HeightCode":
-        """Numbers 1 to 65535 from `low_mm` to `high_mm`."""
-        step = (high_mm - low_mm) / (HIGHEST - 1)
-        return cls(low_mm - step, step)
-
-    def encode(self, height_mm: ArrayLike) -> NDArray[np.uint16]:
-        """Heights in mm (row, col) as numbers; NaN and heights outside the range become 0; off by half a step at most.
-
-        >>> HeightCode.of_range(0.0, 0.5).encode([[0.0, 0.5, float("nan"), 0.6]])
-        array([[    1, 65535,     0,     0]], dtype=uint16)
-        """
-        number = (np.asarray(height_mm, np.float64) - self.offset_mm) / self.step_mm
-        # NaN compares false.
-        inside = (number > 0.5) & (number < HIGHEST + 0.5)
-        return np.where(inside, np.rint(np.where(inside, number, 0.0)), 0.0).astype(np.uint16)
-
-    def decode(self, number: ArrayLike) -> NDArray[np.float64]:
-        """(row, col) heights in mm of what `encode` gave; NaN for 0."""
-        found = np.asarray(number, np.float64)
-        height: NDArray[np.float64] = np.where(
-            found > 0, self.offset_mm + self.step_mm * found, np.nan
-        )
-        return height
-
-    def to_dict(self) -> dict[str, Any]:
-        """As in ``labels.json``."""
-        return asdict(self) | {"no_height": 0}
 
 
 def camera_picture(stack: Stack) -> NDArray[np.uint8]:
@@ -75,7 +34,7 @@ def srgb(linear: NDArray[np.floating]) -> NDArray[np.uint8]:
     return picture
 
 
-def write_png(image: NDArray[np.uint8] | NDArray[np.uint16], path: Path) -> None:
-    """Write a grey picture (row, col) of 8 or 16 bits, or a colour one (row, col, 3) of 8, atomically."""
+def write_png(image: NDArray[np.uint8], path: Path) -> None:
+    """Write a grey picture (row, col) or a colour one (row, col, 3), atomically."""
     with replacing(path) as staged:
         Image.fromarray(image).save(staged, format="PNG")

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from evaluation.output.height_image import HeightCode, write_height_image
 from fringebench.datasets.dataset_plan import COLOUR, HEIGHTS, PICTURE, DatasetPlan
-from fringebench.datasets.pictures import HeightCode, camera_picture, srgb, write_png
+from fringebench.datasets.pictures import camera_picture, srgb, write_png
 from scenes.files.stack import Stack
 from scenes.files.truth_maps import Truth
 from scenes.labels.coco_format import categories, coco
@@ -166,7 +167,8 @@ class _Content:
         measured = None
         if plan.heights:
             measured = decode.reconstruct(stack)
-            labels["height_png"] = HeightCode.of_range(*drawn.height_range_mm).to_dict()
+            code = HeightCode.of_range(*drawn.height_range_mm)
+            labels["height_png"] = asdict(code) | {"no_height": 0}
         return cls(drawn, stack, truth, measured, labels, plan.picture, colour)
 
     @property
@@ -184,10 +186,8 @@ class _Content:
             write_png(srgb(self.colour), folder / COLOUR)
         if self.measured is not None:
             code = HeightCode.of_range(*self.scene.height_range_mm)
-            write_png(
-                code.encode(np.where(self.measured.valid, self.measured.height_mm, np.nan)),
-                folder / HEIGHTS[0],
-            )
+            heights = np.where(self.measured.valid, self.measured.height_mm, np.nan)
+            write_height_image(folder / HEIGHTS[0], heights, code)
             self.measured.write(folder / HEIGHTS[1])
         with replacing(folder / "labels.json") as staged:
             staged.write_text(json.dumps(self.labels, indent=1, allow_nan=False), "utf-8")

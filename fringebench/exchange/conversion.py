@@ -64,8 +64,8 @@ def convert(
         raise FileError(f"'{output}': --truth and --points are for a .ply")
     rec = decode.Reconstruction.read(source) if kind == "reconstruction" else _true(source)
     if suffix in IMAGES:
-        scale = write_height_image(output, np.where(rec.valid, rec.height_mm, np.nan))
-        return f"16 bits, {scale}"
+        code = write_height_image(output, np.where(rec.valid, rec.height_mm, np.nan))
+        return f"16 bits, {code}"
     true = None if truth is None else scenes.Truth.read(truth)
     if suffix == ".ply":
         write_cloud(output, rec, true, faces=not points)

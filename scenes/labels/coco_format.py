@@ -110,26 +110,6 @@ def categories() -> list[dict[str, Any]]:
     ]
 
 
-def merged(images: Iterable[dict[str, Any]]) -> dict[str, Any]:
-    """The files of many images as one; images and annotations are renumbered in order."""
-    whole: dict[str, Any] = {
-        "info": {"version": "1.0"},
-        "licenses": [],
-        "images": [],
-        "annotations": [],
-        "categories": categories(),
-    }
-    for part in images:
-        number = {}
-        for image in part["images"]:
-            number[image["id"]] = len(whole["images"]) + 1
-            whole["images"].append(image | {"id": number[image["id"]]})
-        for note in part["annotations"]:
-            renumbered = {"id": len(whole["annotations"]) + 1, "image_id": number[note["image_id"]]}
-            whole["annotations"].append(note | renumbered)
-    return whole
-
-
 def _outlines(print_: Print) -> Iterable[tuple[str, int, shapely.Polygon, float]]:
     """Category, pad, world outline and its height, of everything there is to annotate."""
     for name, pad, outline in _flat_outlines(print_):

@@ -78,10 +78,10 @@ def test_height_image_gives_the_heights_back(
     assert level.dtype == np.uint16
     with Image.open(out) as image:
         said = image.text["Description"] if suffix == ".png" else image.tag_v2[270]
-    # As a reader of the sentence would: "height_mm = A + B * (DN - 1)"
+    # As a reader of the sentence would: "height_mm = A + B * number"
     offset, step = (float(said.split()[i]) for i in (2, 4))
     np.testing.assert_array_equal(level > 0, rec.valid)
-    height = offset + step * (level[rec.valid] - 1.0)
+    height = offset + step * level[rec.valid]
     # Half a step of rounding, and that of float32.
     assert np.abs(height - rec.height_mm[rec.valid]).max() <= 0.5 * step * (1 + 1e-3)
     span = float(np.ptp(rec.height_mm[rec.valid]))

@@ -1,8 +1,5 @@
 """Samples of a data set, and their COCO labels."""
 
-import io
-import json
-from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +7,7 @@ import numpy as np
 import pytest
 
 import scenes
-from scenes.labels.coco_format import CATEGORIES, merged
+from scenes.labels.coco_format import CATEGORIES
 from scenes.support.errors import SceneError
 
 CAMERA = {"camera.resolution": [160, 120], "board.paste.step_mm": 0.04}
@@ -104,26 +101,6 @@ def test_drawn_value_out_of_range_is_refused() -> None:
 def test_negative_index_is_refused() -> None:
     with pytest.raises(SceneError, match="count from 0"):
         scenes.realise(spi(), -1)
-
-
-def test_pycocotools_loads_the_labels(tmp_path: Path) -> None:
-    pycocotools = pytest.importorskip("pycocotools.coco", reason="pycocotools is not installed")
-    mask = pytest.importorskip("pycocotools.mask")
-    samples = [scenes.realise(spi(), i) for i in range(3)]
-    whole = merged(scenes.coco(s, f"{i}.png") for i, s in enumerate(samples))
-    (tmp_path / "coco.json").write_text(json.dumps(whole))
-    with redirect_stdout(io.StringIO()):
-        reader = pycocotools.COCO(str(tmp_path / "coco.json"))
-    assert len(reader.getImgIds()) == 3
-    assert {c["name"] for c in reader.loadCats(reader.getCatIds())} == set(CATEGORIES)
-    checked = 0
-    for note in reader.loadAnns(reader.getAnnIds(imgIds=[1])):
-        drawn = mask.area(reader.annToRLE(note))
-        # Rasterising a polygon moves its outline by half a pixel at most.
-        width, height = note["bbox"][2:]
-        assert abs(drawn - note["area"]) <= 0.5 * 2.5 * (width + height) + 4
-        checked += 1
-    assert checked > 80
 
 
 def test_outlines_cover_their_pads_in_the_image() -> None:
