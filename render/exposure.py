@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from render.chip_image import Image
 from render.exposure_time import exposure_times_ms
-from render.pattern_span import channel_weights
+from render.pattern_span import channel_weights, plane_weights
 from render.sensor_stages import Floats, LineNoise, Noise, digital_numbers, fixed_pattern
 from render.speckle import speckled
 from render.transport import Transport
@@ -70,7 +70,8 @@ def expose(
     slope
         Of `render.height_slope`, for a scene with `vibration_um`; None: traced here, twice as costly as the transport.
     steady
-        Leave out vibration, fluctuation, flicker and speckle; None: leave them out without `noise`.
+        Leave out vibration, fluctuation, flicker, speckle and bit planes; None: without `noise` leave out what is random of
+        them.
 
     Returns
     -------
@@ -121,7 +122,8 @@ def expose(
     times_ms = exposure_times_ms(image, transport.labels, shown, scene.exposures, scene.sensor)
     if direct_only:
         image = Image.of(transport, scene.sensor, subpixels, direct_only)
-    steady = is_steady(scene) or (not noise if steady is None else steady)
+    still = is_steady(scene) or steady is True
+    steady = still or (not noise if steady is None else steady)
     if scene.vibration_um and not steady:
         moving = Image.of(slope or height_slope(transport), scene.sensor, subpixels, direct_only)
         image = replace(image, slope=moving)
@@ -138,12 +140,22 @@ def expose(
     seeds = (seed, chip_seed) if noise else None
     moments = [
         [
-            STEADY if steady else moment(scene, seed, e, f, projector, time_ms)
+            STEADY if still else moment(scene, seed, e, f, projector, time_ms, random=not steady)
             for e, time_ms in enumerate(times_ms)
         ]
         for f, (projector, _) in enumerate(shown)
     ]
-    _fill(frames, image, shown, times_ms, scene.sensor, seeds, moments, progress)
+    planes = [
+        w
+        for p in range(0 if still else len(scene.projectors))
+        for w in plane_weights(transport, p, scene.patterns)
+    ]
+    weights = [
+        [np.asarray(now.shares) @ planes[f] if now.shares else row for now in moments[f]]
+        for f, (_, row) in enumerate(shown)
+    ]
+    projectors = [projector for projector, _ in shown]
+    _fill(frames, image, projectors, weights, times_ms, scene.sensor, seeds, moments, progress)
     return Stack(
         frames.reshape(*shape[:2], height, width),
         scene.frames,
@@ -158,7 +170,8 @@ def expose(
 def _fill(
     frames: NDArray[Any],
     image: Image,
-    shown: Sequence[tuple[int, Floats]],
+    projectors: Sequence[int],
+    weights: Sequence[Sequence[Floats]],
     times_ms: Sequence[float],
     sensor: Sensor,
     seeds: tuple[int, int] | None,
@@ -167,7 +180,8 @@ def _fill(
 ) -> None:
     """Write digital numbers into `frames` (exposure, frame, pixel).
 
-    `seeds` are (noise, chip), None for no noise; `moments` are (frame, exposure).
+    `projectors` are (frame,), `weights` (frame, exposure) of channels, `moments` (frame, exposure); `seeds` are (noise, chip),
+    None for no noise.
     """
     count = image.ambient.size
     chip = None if seeds is None else fixed_pattern(sensor, seeds[1], image.shape)
@@ -180,11 +194,13 @@ def _fill(
         ]
         for start in range(0, count, BLOCK):
             pixels = slice(start, min(start + BLOCK, count))
-            calm = image.radiance(*shown[frame], pixels)
+            projector, rows = projectors[frame], weights[frame]
+            calm = image.radiance(projector, rows[0], pixels)
             for e, (time_ms, stream) in enumerate(zip(times_ms, streams, strict=True)):
                 line = lines[e]
                 now = moments[frame][e]
-                radiance = calm if now == STEADY else image.radiance(*shown[frame], pixels, now)
+                steady = now == STEADY
+                radiance = calm if steady else image.radiance(projector, rows[e], pixels, now)
                 frames[e, frame, pixels] = digital_numbers(
                     radiance,
                     time_ms,
@@ -197,10 +213,10 @@ def _fill(
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         # NumPy releases the interpreter lock while it draws and computes. The loop re-raises errors.
         try:
-            for done, _ in enumerate(pool.map(take, range(len(shown))), 1):
+            for done, _ in enumerate(pool.map(take, range(len(projectors))), 1):
                 mapped.release_pages(frames)
                 if progress:
-                    progress(done / len(shown))
+                    progress(done / len(projectors))
         except BaseException:
             # After an interrupt the remaining frames are not needed.
             pool.shutdown(cancel_futures=True)

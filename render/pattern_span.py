@@ -4,7 +4,7 @@ import numpy as np
 
 from render.sensor_stages import Floats
 from render.transport import Transport
-from scenes.acquisition.pattern_basis import RANK_TOLERANCE, Basis, basis
+from scenes.acquisition.pattern_basis import AXES, RANK_TOLERANCE, Basis, basis, bit_planes
 from scenes.acquisition.patterns import Patterns
 from scenes.support.errors import RenderError
 
@@ -32,6 +32,40 @@ def channel_weights(transport: Transport, projector: int, patterns: Patterns) ->
                 "trace the scene again with these patterns"
             )
     return weights
+
+
+def plane_weights(transport: Transport, projector: int, patterns: Patterns) -> list[Floats]:
+    """Weights (plane, channel) of each frame's bit planes from the traced channels; (0, channel) if it is steady.
+
+    Raises `RenderError` for planes outside the span of the traced ones.
+    """
+    device = transport.scene.projectors[projector]
+    channels = transport.bases[projector].channels
+    if device.frame_ms is None:
+        return [np.zeros((0, len(channels)))] * len(patterns.frames())
+    found = []
+    on = {axis: [c.kind == "table" and c.axis == axis for c in channels] for axis in AXES}
+    # Tuples become arrays slowly: once for each axis.
+    traced = {
+        axis: np.array([c.values for c, here in zip(channels, on[axis], strict=True) if here])
+        for axis in AXES
+    }
+    for i, frame in enumerate(patterns.frames()):
+        tables, here = traced[frame.axis], on[frame.axis]
+        planes = bit_planes(patterns, frame, device, device.resolution)
+        fits = tables.ndim == 2 and tables.shape[1] == planes.shape[1]
+        weights = np.zeros((len(planes), len(channels)))
+        if fits:
+            # Tables of one axis are orthogonal, and their mean square is 1.
+            weights[:, here] = planes @ tables.T / tables.shape[1]
+        left = planes - weights[:, here] @ tables if fits else planes
+        if np.linalg.norm(left) > RESIDUE * np.linalg.norm(planes):
+            raise RenderError(
+                f"projector {projector} cannot show the bit planes of frame {i}, which were not traced: trace the scene "
+                "again with these patterns"
+            )
+        found.append(weights)
+    return found
 
 
 def _in_terms_of(traced: Basis, wanted: Basis) -> Floats:

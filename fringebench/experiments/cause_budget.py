@@ -34,10 +34,11 @@ CAUSES = (
     "vibration",
     "source",
     "speckle",
+    "bit-planes",
 )
 # Causes that are in traced light, and causes that differ from picture to picture.
 OPTICAL = frozenset(CAUSES[4:6] + CAUSES[7:11])
-RANDOM = frozenset({"noise", "vibration", "source", "speckle"})
+RANDOM = frozenset({"noise", "vibration", "source", "speckle", "bit-planes"})
 # Electrons; a full well that no light fills.
 BOTTOMLESS_E = 1e12
 
@@ -51,7 +52,7 @@ def budget(
     ``saturation`` (clipping; without it the longest exposure is used everywhere, so it interacts with noise),
     ``interreflection`` (light that met more than one surface), ``psf`` (the camera's blur), ``vibration`` (of the scene),
     ``source`` (fluctuation of the projectors, flicker of ambient light), ``speckle`` (of coherent projectors), ``defocus`` (lenses of camera and projectors),
-    ``footprint`` (the width of a pixel; without it only the ray of its centre counts), ``projector-pixels`` (squares, gaps
+    ``bit-planes`` (of micromirror devices, where an exposure is no whole number of frames), ``footprint`` (the width of a pixel; without it only the ray of its centre counts), ``projector-pixels`` (squares, gaps
     and blur of the projector), ``gamma`` and ``projector-quantisation`` (its tone curve and bits) and ``vignetting`` (of all
     devices). The sensor's non-linearity counts as saturation. Causes that the scene does not have are left out. Exposure
     times are always those of the complete scene. `choices` are options of `decode.reconstruct`.
@@ -121,6 +122,7 @@ def without_causes(scene: scenes.Scene, off: Causes) -> scenes.Scene:
         "projector-quantisation": {"bits": 0},
         "source": {"fluctuation": 0.0},
         "speckle": {"speckle_contrast": 0.0},
+        "bit-planes": {"frame_ms": None},
     }
 
     def changes(known: dict[str, dict[str, Any]]) -> dict[str, Any]:
@@ -129,6 +131,9 @@ def without_causes(scene: scenes.Scene, off: Causes) -> scenes.Scene:
     projectors = []
     for projector in scene.projectors:
         changed = projector.model_copy(update=changes(emission))
+        if changed.frame_ms is not None and not changed.bits:
+            # Planes need bits: as many as hardly round.
+            changed = changed.model_copy(update={"bits": 16})
         if projector.pixelated:
             # Pixels stay where gamma and bits, which ask for them, are off.
             squares = "projector-pixels" not in off

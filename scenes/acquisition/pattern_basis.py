@@ -2,7 +2,8 @@
 
 Light transport is linear, so a camera pixel's response to a frame is a weighted sum of its responses to the basis. Ideal
 sinusoids need ``1, cos, sin`` per axis and period, for any number of steps. Gray code, and patterns changed by gamma or
-quantisation, are tables of projector pixels; their basis comes from a singular value decomposition.
+quantisation, are tables of projector pixels; their basis comes from a singular value decomposition. Bit planes of a
+micromirror device are tables, too, in the same decomposition.
 """
 
 from collections.abc import Sequence
@@ -124,13 +125,26 @@ def _tables(
 ) -> tuple[list[Channel], NDArray[np.float64]]:
     """Tables that span frames of one axis, and their weights (frame, table)."""
     axis = frames[0].axis
-    centres = np.arange(0.5, resolution[0 if axis == "column" else 1])
+    count = resolution[0 if axis == "column" else 1]
+    centres = np.arange(0.5, count)
     pixels = np.stack([emission.emit(patterns.commanded(frame, centres)) for frame in frames])
     emitted = along(emission, pixels, np.array([frame.kind not in CODES for frame in frames]))
+    if emission.frame_ms is not None:
+        parts = [bit_planes(patterns, frame, emission, resolution) for frame in frames]
+        emitted = np.concatenate([emitted, *parts])
     left, strength, right = np.linalg.svd(emitted, full_matrices=False)
     kept = strength > RANK_TOLERANCE * strength[0]
     # Scaled so that tables are of the order of 1, as the analytic channels are.
     scale = np.sqrt(emitted.shape[1])
-    cells = emitted.shape[1] // len(centres)
+    cells = emitted.shape[1] // count
     tables = [Channel("table", axis, 0.0, tuple(table), cells) for table in right[kept] * scale]
-    return tables, left[:, kept] * strength[kept] / scale
+    return tables, left[: len(frames), kept] * strength[kept] / scale
+
+
+def bit_planes(
+    patterns: Patterns, frame: Frame, emission: Emission, resolution: tuple[int, int]
+) -> NDArray[np.float64]:
+    """Light of each bit plane of a frame along its axis, (plane, pixels x cells), the most significant first."""
+    centres = np.arange(0.5, resolution[0 if frame.axis == "column" else 1])
+    pixels = emission.planes(patterns.commanded(frame, centres))
+    return along(emission, pixels, np.full(len(pixels), frame.kind not in CODES))

@@ -48,8 +48,9 @@ def along(emission: Emission, values: Floats, smooth: NDArray[np.bool_]) -> Floa
     if smooth.any() and count > 3:
         at = (np.arange(count * cells) + 0.5) / cells - 0.5
         spline = make_interp_spline(np.arange(count), values[smooth], k=3, axis=1)
-        # A cubic may swing below black at a kink.
-        light[smooth] = np.maximum(spline(np.clip(at, 0.0, count - 1.0)), 0.0)
+        between = spline(np.clip(at, 0.0, count - 1.0))
+        # A cubic may swing below black at a kink. Bit planes do so all over, and only as they are make up their frame.
+        light[smooth] = np.maximum(between, 0.0) if emission.frame_ms is None else between
     return light
 
 

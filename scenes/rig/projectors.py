@@ -1,10 +1,10 @@
-"""Projectors: geometry plus emission (brightness, contrast, gamma, bit depth)."""
+"""Projectors: geometry plus emission (brightness, contrast, gamma, bit depth, bit planes)."""
 
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, PositiveFloat
+from pydantic import Field, PositiveFloat, model_validator
 
 from scenes.rig.devices import Pinhole, Telecentric
 from scenes.support.frozen import Frozen
@@ -33,6 +33,21 @@ class Emission(Frozen):
     """Whether patterns leave as pixels (false: smoothly interpolated, without gaps and blur); absent: if gamma, bits,
     fill_factor or psf_sigma_px is set."""
 
+    frame_ms: Annotated[float, Field(ge=1e-3, le=1e6)] | None = None
+    """Frame period of a micromirror device: within it the `bits` are shown as binary planes one after the other, the most
+    significant first, each for a time of its weight. Absent: light is steady within an exposure."""
+    triggered: bool = True
+    """With `frame_ms`: exposures start with a frame; false: anywhere in it."""
+
+    @model_validator(mode="after")
+    def _planes_are_linear(self) -> Self:
+        if self.frame_ms is not None and (self.gamma != 1.0 or not self.bits):
+            raise ValueError(
+                f"frame_ms is for a micromirror device, whose bit planes are linear, but bits = {self.bits} and gamma = "
+                f"{self.gamma:g}: set bits to 1 or more (8, say) and gamma to 1, or leave frame_ms out"
+            )
+        return self
+
     @property
     def pixelated(self) -> bool:
         """Whether patterns reach the scene as projector pixels, not as a continuous function."""
@@ -54,6 +69,19 @@ class Emission(Frozen):
     def black(self) -> float:
         """Emitted value of commanded black, as a fraction of white."""
         return (1.0 - self.contrast) / (1.0 + self.contrast)
+
+    @property
+    def plane_shares(self) -> NDArray[np.float64]:
+        """Share of a frame's time (plane,) that each bit plane is shown for, the most significant first."""
+        weights = 2.0 ** np.arange(self.bits)[::-1]
+        shares: NDArray[np.float64] = weights / weights.sum()
+        return shares
+
+    def planes(self, commanded: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Emitted values (plane, ...) of each bit plane; their mean weighted by `plane_shares` is what `emit` gives."""
+        level = np.rint(commanded * (2**self.bits - 1)).astype(np.int64)
+        bit = np.stack([level >> k & 1 for k in range(self.bits)[::-1]])
+        return self.black + (1.0 - self.black) * bit
 
     def emit(self, commanded: NDArray[np.float64]) -> NDArray[np.float64]:
         """Emitted values (...), 0 to 1: commanded values are quantised, then get gamma, then the black level."""
