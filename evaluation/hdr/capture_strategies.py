@@ -19,9 +19,6 @@ from scenes.acquisition.patterns import Patterns, PhaseShift
 from scenes.files.stack import Stack
 
 MOST_STEPS = 64
-# Adaptive projection: number of grey levels, and the brightest sample allowed, as a share of saturation.
-LEVELS = 16
-HEADROOM = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +81,7 @@ def metered(shoot: Shoot, reference: Reference, budget: LightBudget) -> PlannedC
     """The reference exposure that the histogram selects, repeated. Metering is not counted: it is done once for many
     pictures.
     """
-    seen = shoot(reference.patterns, reference.times_ms)
+    seen = shoot(reference.shot)
     chosen = AutoExposure().prepare(seen).exposure
     assert chosen is not None
     shot = Shot(reference.patterns, (reference.times_ms[chosen],))
@@ -120,31 +117,6 @@ def more_steps(shoot: Shoot, reference: Reference, budget: LightBudget) -> Plann
     return _at_middle(shoot, reference, budget, patterns)
 
 
-def adaptive_projection(shoot: Shoot, reference: Reference, budget: LightBudget) -> PlannedCapture:
-    """The longest exposure, the projector dimmed for each pixel (in 1/16 of white) so that no sample is clipped.
-
-    Test pictures, three steps of the finest period at the shortest exposure, measure the brightness of each pixel; they are
-    counted. The light of each camera pixel is dimmed as a whole, including interreflection from its neighbours, as if
-    projector pixels were as sharp as the camera's: a real mask also blurs at its edges and dims neighbours by their own level.
-    """
-    base = _fringes(reference)
-    look = base.model_copy(
-        update={"steps": 3, "shifts_rad": None, "periods_px": base.periods_px[:1], "gray": None}
-    )
-    probe = Shot(look, (min(reference.times_ms),))
-    seen = shoot(probe.patterns, probe.times_ms)
-    shot = reference.filled(budget, Shot(base, (max(reference.times_ms),)), probe)
-    black, top = seen.sensor.black_level_dn, seen.saturation_dn
-    steps = seen.frames[0].reshape(-1, 3, *seen.frames.shape[2:]).astype(np.float64)
-    turn = np.exp(-2j * np.pi * np.arange(3) / 3.0)
-    modulation = np.abs(np.tensordot(turn, steps, axes=(0, 1))) * 2.0 / 3.0
-    peak = (steps.mean(axis=1) - black + modulation).max(axis=0)
-    there = peak * (max(shot.times_ms) / probe.times_ms[0])
-    wanted = HEADROOM * (top - black) / np.maximum(there, 1.0)
-    level = np.clip(np.floor(wanted * LEVELS), 1, LEVELS) / LEVELS
-    return take(shoot, reference, Shot(shot.patterns, shot.times_ms, level), probe)
-
-
 def _two_sets(patterns: PhaseShift, steps: int, shift_rad: float) -> PhaseShift:
     one = 2.0 * np.pi * np.arange(steps) / steps
     shifts = tuple(float(s) for s in np.concatenate([one, one + shift_rad]))
@@ -168,7 +140,7 @@ def take(shoot: Shoot, reference: Reference, shot: Shot, *spent: Shot) -> Planne
     """Pictures of a shot, and what they and those before them cost."""
     n, shots = reference.projectors, (shot, *spent)
     return PlannedCapture(
-        shoot(shot.patterns, shot.times_ms, shot.level),
+        shoot(shot),
         shot,
         sum(s.frames(n) for s in shots),
         sum(s.light_ms(n) for s in shots),
@@ -192,5 +164,5 @@ BUILT_IN = (
     Strategy("complementary", complementary, MeanOfSets(), "Wan et al. 2023", "ignore"),
     Strategy("2n-step", complementary, "phasor-sum", "2N steps decoded as one set", "ignore"),
     Strategy("more-steps", more_steps, "phasor-sum", "Chen & Zhang 2016", "ignore"),
-    Strategy("adaptive-projection", adaptive_projection, "censored-ml", "Li & Kofman 2014"),
+    Strategy("unsaturated-steps", more_steps, "masked-least-squares", "Chen, He & Hu 2008"),
 )

@@ -5,10 +5,10 @@ exposure time (``equal-time``), of its number of frames (``equal-frames``), or o
 (``cycle-time``): exposures, and the overhead of each frame for readout and pattern switching.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import ceil
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,35 +20,37 @@ from scenes.support.errors import ScoreError, nearest
 
 LightBudget = Literal["equal-time", "equal-frames", "cycle-time"]
 BUDGETS: tuple[LightBudget, ...] = ("equal-time", "equal-frames", "cycle-time")
-LightLevel = float | NDArray[np.float64]
 # Relative rounding of sums of times.
 ROUNDING = 1e-9
 
 
-class Shoot(Protocol):
-    """A function that takes the pictures of one set of patterns."""
-
-    def __call__(
-        self, patterns: Patterns, times_ms: Sequence[float], level: LightLevel = 1.0
-    ) -> Stack:
-        """Every exposure of every frame, the projector dimmed to `level` in (0, 1], a number or an image (row, col)."""
-
-
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """Patterns, exposure times and projector level: everything that the frames' information depends on."""
+    """Pictures to be taken: everything that their information depends on."""
 
     patterns: Patterns
     times_ms: tuple[float, ...]
-    level: LightLevel = 1.0
+    levels: tuple[float, ...] = ()
+    """The projectors' white in each exposure, in (0, 1]; empty: 1."""
+    masks: tuple[NDArray[np.float64], ...] = ()
+    """Of each projector, levels (row, col) of its pixels, in (0, 1], by which all patterns are multiplied; empty: 1."""
+    projectors: int | None = None
+    """How many of the projectors show the patterns, the first ones; None: all."""
 
     def frames(self, projectors: int) -> int:
-        """Number of pictures."""
-        return len(self.times_ms) * len(self.patterns.frames(projectors))
+        """Number of pictures, in a machine of so many projectors."""
+        return len(self.times_ms) * self._shown(projectors)
 
     def light_ms(self, projectors: int) -> float:
         """Sum of all pictures' exposure times."""
-        return sum(self.times_ms) * len(self.patterns.frames(projectors))
+        return sum(self.times_ms) * self._shown(projectors)
+
+    def _shown(self, projectors: int) -> int:
+        return len(self.patterns.frames(self.projectors or projectors))
+
+
+Shoot = Callable[[Shot], Stack]
+"""Takes every exposure of every frame."""
 
 
 @dataclass(frozen=True)

@@ -98,7 +98,7 @@ def phase_bound_rad2(
     shifts_rad: Sequence[float],
     exposure_ms: Sequence[float],
     sensor: Sensor,
-    level: float | Image = 1.0,
+    levels: Sequence[float] = (),
     censored: bool = True,
 ) -> Image:
     """Minimum variance of an unbiased phase estimate from these frames, with offset and modulation unknown.
@@ -113,8 +113,8 @@ def phase_bound_rad2(
         Exposure times.
     sensor
         The camera's sensor.
-    level
-        Dims the light: a factor in (0, 1], or an image (row, col) of them.
+    levels
+        What dims the light of each exposure, factors in (0, 1]; empty: 1.
     censored
         Whether the estimate uses the knowledge that a clipped sample is clipped; otherwise clipped samples are discarded.
 
@@ -131,14 +131,14 @@ def phase_bound_rad2(
     is exact.
     """
     moments = np.zeros((3, 3, *light.offset.shape))
+    taken = Counter(zip(exposure_ms, levels or [1.0] * len(exposure_ms), strict=True))
     for shift in shifts_rad:
-        radiance = light.at(shift) * level
+        radiance = light.at(shift)
         wave = np.array([1.0, np.cos(shift), -np.sin(shift)])
         known = np.zeros_like(light.offset)
-        for time_ms, count in Counter(exposure_ms).items():
-            dn_per_light = float(sensor.mean_dn(1.0, time_ms) - sensor.mean_dn(0.0, time_ms))
-            slope = dn_per_light * np.asarray(level)
-            known += count * slope**2 * _information(sensor, radiance, time_ms, censored)
+        for (time_ms, level), count in taken.items():
+            slope = level * float(sensor.mean_dn(1.0, time_ms) - sensor.mean_dn(0.0, time_ms))
+            known += count * slope**2 * _information(sensor, radiance * level, time_ms, censored)
         moments += np.multiply.outer(np.outer(wave, wave), known)
     # The offset is eliminated; the phase moves across the phasor.
     with np.errstate(divide="ignore", invalid="ignore"):

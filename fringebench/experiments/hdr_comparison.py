@@ -4,7 +4,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import groupby
-from typing import Any
 
 import numpy as np
 
@@ -20,13 +19,14 @@ from evaluation.hdr.comparison import (
     StrategyResult,
     summary,
 )
-from evaluation.hdr.light_budget import BUDGETS, LightBudget, LightLevel, Reference
+from evaluation.hdr.light_budget import BUDGETS, LightBudget, Reference, Shoot, Shot
 from evaluation.hdr.registry import strategies
 from evaluation.theory.cramer_rao import FringeLight, phase_bound_rad2
 from fringebench.experiments.noise_summary import figures
 from fringebench.gate.decoders import Decoder
 from fringebench.progress import StepProgress, Steps
 from render.pattern_span import channel_weights
+from render.projector.masks import masked
 from scenes.acquisition.patterns import Axis, Frame, Patterns
 from scenes.support.errors import FringebenchError, ScoreError
 
@@ -193,7 +193,7 @@ class _Bench:
                 spent = time.perf_counter() - start
                 fastest[s.name] = min(fastest.get(s.name, spent), spent)
                 axes[s.name] = rec.axis
-                light = self._light(rec.axis, capture.shot.patterns)
+                light = self._light(rec.axis, capture.shot)
                 kept[s.name].append(Repeat.of(rec, self.truth, light, MARGIN_PX, self.outlier_mm))
         assert capture is not None
         entries = [
@@ -221,35 +221,67 @@ class _Bench:
         self, repeats: Sequence[Repeat], capture: PlannedCapture, axis: Axis
     ) -> dict[str, StrategyRegion]:
         shot = capture.shot
-        light = self._light(axis, shot.patterns)
+        light = self._light(axis, shot)
         bound = None
         if light is not None:
             shifts = [f.phase_shift_rad for f in _finest(shot.patterns, axis)]
-            bound = phase_bound_rad2(light, shifts, shot.times_ms, self.scene.sensor, shot.level)
+            bound = phase_bound_rad2(light, shifts, shot.times_ms, self.scene.sensor, shot.levels)
         return summary(repeats, self.truth, bound, MARGIN_PX)
 
-    def _light(self, axis: Axis, patterns: Patterns) -> FringeLight | None:
+    def _light(self, axis: Axis, shot: Shot) -> FringeLight | None:
         """Noise-free light of the finest fringe; None for several projectors, as pixels use different ones."""
+        patterns = shot.patterns
         if self.reference.projectors > 1 or not isinstance(patterns, scenes.PhaseShift):
             return None
         finest = min(patterns.periods_px)
-        if (axis, finest) not in self.light:
-            seen = render.through_lens(self.transport)
+        if shot.masks or (axis, finest) not in self.light:
+            seen = render.through_lens(self._lit(shot))
             weights = channel_weights(self.transport, 0, patterns)
             frames = np.tensordot(weights, seen.total[0, : weights.shape[1]], axes=1) + seen.ambient
-            self.light[axis, finest] = FringeLight.of(frames, patterns.frames(), axis, finest)
+            found = FringeLight.of(frames, patterns.frames(), axis, finest)
+            if shot.masks:
+                return found
+            self.light[axis, finest] = found
         return self.light[axis, finest]
 
-    def _shoot(self, seed: int) -> Any:
-        def shoot(
-            patterns: Patterns, times_ms: Sequence[float], level: LightLevel = 1.0
-        ) -> scenes.Stack:
-            light = self.transport
-            if np.ndim(level) or level != 1.0:
-                # all light a pixel gets from the projectors is dimmed; ambient light is not
-                dim = np.asarray(level, np.float32)
-                light = replace(light, total=light.total * dim, direct=light.direct * dim)
-            return render.expose(light, seed=seed, exposures=times_ms, patterns=patterns)
+    def _lit(self, shot: Shot) -> render.Transport:
+        """Light of the projectors that shine, through their masks."""
+        light = self.transport
+        if shot.masks:
+            light = masked(light, self.truth, shot.masks)
+        if shot.projectors is None:
+            return light
+        shining = slice(shot.projectors)
+        scene = light.scene
+        return replace(
+            light,
+            total=light.total[shining],
+            direct=light.direct[shining],
+            bases=light.bases[shining],
+            noise_rad=None,
+            scene=scene.model_copy(update={"projectors": scene.projectors[shining]}),
+        )
+
+    def _shoot(self, seed: int) -> Shoot:
+        def shoot(shot: Shot) -> scenes.Stack:
+            light = self._lit(shot)
+
+            def taken(level: float) -> scenes.Stack:
+                # Projectors are dimmed; ambient light is not.
+                dimmed = light
+                if level != 1.0:
+                    dim = np.float32(level)
+                    dimmed = replace(light, total=light.total * dim, direct=light.direct * dim)
+                return render.expose(
+                    dimmed, seed=seed, exposures=shot.times_ms, patterns=shot.patterns
+                )
+
+            if not shot.levels:
+                return taken(1.0)
+            # All exposures at each level, of which one is kept: an exposure's noise depends on its number.
+            stacks = [taken(level) for level in shot.levels]
+            frames = np.stack([stack.frames[e] for e, stack in enumerate(stacks)])
+            return replace(stacks[0], frames=frames)
 
         return shoot
 

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 import decode
-from evaluation.hdr.capture_strategies import BUILT_IN, LEVELS, PlannedCapture, Strategy
+from evaluation.hdr.capture_strategies import BUILT_IN, PlannedCapture, Strategy
 from evaluation.hdr.coding_strategies import CODINGS
 from evaluation.hdr.comparison import (
     MeanInterval,
@@ -16,10 +16,10 @@ from evaluation.hdr.comparison import (
     StrategyRegion,
     StrategyResult,
 )
-from evaluation.hdr.light_budget import BUDGETS, LightBudget, LightLevel, Reference
+from evaluation.hdr.light_budget import BUDGETS, LightBudget, Reference, Shot
 from evaluation.hdr.registry import strategies
 from evaluation.theory.clipping import clipped_harmonic
-from scenes.acquisition.patterns import Patterns, PhaseShift
+from scenes.acquisition.patterns import PhaseShift
 from scenes.acquisition.sensor import SimpleSensor
 from scenes.files.stack import Stack
 from scenes.support.errors import ScoreError
@@ -30,21 +30,23 @@ REFLECTANCE = np.geomspace(0.02, 20.0, 24).reshape(4, 6)
 SENSOR = SimpleSensor(sigma_dn=0.1, bits=12, black_level_dn=341.0)
 
 
-def shoot(patterns: Patterns, times_ms: Sequence[float], level: LightLevel = 1.0) -> Stack:
+def shoot(shot: Shot) -> Stack:
     """Fringes of full contrast at phase 0.3 on every pixel, without noise."""
+    patterns, times_ms = shot.patterns, shot.times_ms
+    levels = shot.levels or (1.0,) * len(times_ms)
     frames = np.stack(
         [
             [
                 time_ms * REFLECTANCE * level * (1.0 + np.cos(0.3 + f.phase_shift_rad))
                 for f in patterns.frames()
             ]
-            for time_ms in times_ms
+            for time_ms, level in zip(times_ms, levels, strict=True)
         ]
     )
     counts = np.clip(np.rint(SENSOR.black_level_dn + frames), 0, SENSOR.full_scale_dn).astype(
         np.uint16
     )
-    return Stack(counts, patterns.frames(), tuple(times_ms), SENSOR)
+    return Stack(counts, patterns.frames(), times_ms, SENSOR)
 
 
 def reference(steps: int = 4, times: tuple[float, ...] = (1.0, 10.0, 80.0)) -> Reference:
@@ -56,7 +58,7 @@ def captured(name: str, ref: Reference, budget: LightBudget) -> PlannedCapture:
     return strategy.plan(shoot, ref, budget)
 
 
-NAMES = [strategy.name for strategy in BUILT_IN]
+NAMES = [*(strategy.name for strategy in BUILT_IN), "intensity-ladder"]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -114,11 +116,12 @@ def test_saturation_bias_of_two_sets_is_that_of_the_closed_form(steps: int, rati
     """
     phi = np.linspace(-np.pi, np.pi, 720, endpoint=False) + 1e-3
 
-    def clipped(patterns: Patterns, times_ms: Sequence[float], level: LightLevel = 1.0) -> Stack:
-        shifts = np.array([f.phase_shift_rad for f in patterns.frames()])[:, None, None]
+    def clipped(shot: Shot) -> Stack:
+        shown = shot.patterns.frames()
+        shifts = np.array([f.phase_shift_rad for f in shown])[:, None, None]
         wave = np.minimum(255.0 * ratio / 2.0 * (1.0 + np.cos(phi + shifts)), 255.0)
-        frames = np.repeat(wave.astype(np.float32)[None], len(times_ms), axis=0)
-        return Stack(frames, patterns.frames(), tuple(times_ms), SENSOR)
+        frames = np.repeat(wave.astype(np.float32)[None], len(shot.times_ms), axis=0)
+        return Stack(frames, shown, shot.times_ms, SENSOR)
 
     def error(at: NDArray[np.float64], n: int) -> NDArray[np.float64]:
         first, orders = clipped_harmonic(1, ratio), range(-400 // n, 400 // n + 1)
@@ -185,23 +188,43 @@ def test_metering_takes_the_longest_exposure_that_clips_nothing() -> None:
     assert set(times.times_ms) == {80.0}
 
 
-def test_adaptive_levels_dim_each_pixel_below_saturation_by_less_than_a_level_too_much() -> None:
-    got = captured("adaptive-projection", reference(times=(10.0, 80.0, 400.0)), "equal-frames")
-    level = np.asarray(got.shot.level)
-    peak = got.stack.frames.max(axis=(0, 1))
-    assert (peak < SENSOR.saturation_dn).all()
-    # Closed form: the headroom of 0.9 above black, over the light of full contrast at the longest exposure, in whole levels.
-    # The look at the shortest exposure is rounded to counts, of which the dimmed pixels have more than 80.
-    room = 0.9 * (SENSOR.saturation_dn - SENSOR.black_level_dn)
-    wanted = LEVELS * room / (REFLECTANCE * 2.0 * 400.0)
-    low, high = (
-        np.clip(np.floor(wanted * f), 1, LEVELS) / LEVELS for f in (1 - 1 / 80, 1 + 1 / 80)
-    )
-    assert ((low <= level) & (level <= high)).all()
-    assert (low == high).mean() > 0.8
-    assert ((level < 1.0).mean() > 0.2) & ((level == 1.0).mean() > 0.2)
-    # the first look is paid for
-    assert got.frames == got.stack.frames.shape[0] * got.stack.frames.shape[1] + 3
+def test_intensities_have_one_exposure_and_need_the_choice_by_modulation() -> None:
+    """`max-modulation` takes each pixel's brightest unclipped level in any order; exposure times, equal, cannot tell. On a
+    series of times both choose alike: modulation is proportional to time.
+    """
+    times = (10.0, 20.0, 8000.0)
+    got = captured("intensity-ladder", reference(times=times), "equal-frames")
+    assert len(set(got.shot.times_ms)) == 1
+    assert got.shot.levels == pytest.approx([1 / 800, 800**-0.5, 1.0])
+
+    def chosen(stack: Stack) -> list[NDArray[np.uint8]]:
+        rules = ("max-modulation", "brightest-unsaturated")
+        recs = [
+            decode.reconstruct(stack, fusion=r, height="phase", unwrap="row-scan") for r in rules
+        ]
+        return [rec.exposure for rec in recs]
+
+    brightest = 2 - np.argmax((got.stack.frames.max(axis=1) < SENSOR.saturation_dn)[::-1], axis=0)
+    assert set(np.unique(brightest)) == {0, 1, 2}
+    by_modulation, by_time = chosen(replace(got.stack, frames=got.stack.frames[::-1].copy()))
+    assert (2 - by_modulation == brightest).all()
+    assert (2 - by_time != brightest).any()
+    one, two = chosen(captured("max-modulation", reference(times=times), "equal-frames").stack)
+    assert (one == two).all()
+
+
+def test_projectors_of_one_scene_are_not_compared() -> None:
+    for name in ("one-projector", "every-projector"):
+        with pytest.raises(ScoreError, match="one projector"):
+            captured(name, reference(), "equal-time")
+
+
+def test_one_projector_has_the_pictures_of_all() -> None:
+    ref = replace(reference(), projectors=4)
+    for budget in BUDGETS:
+        one, every = (captured(name, ref, budget) for name in ("one-projector", "every-projector"))
+        assert one.shot.projectors == 1
+        assert ref.cost(budget, one.shot) == pytest.approx(ref.cost(budget, every.shot))
 
 
 @pytest.mark.parametrize("strategy", CODINGS, ids=lambda s: s.name)

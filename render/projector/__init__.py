@@ -1,0 +1,1 @@
+"""A projector's light changed after it was traced."""
