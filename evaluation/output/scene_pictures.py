@@ -1,31 +1,16 @@
 """Pictures of a capture: the scene as the camera sees it, sample frames, phases, and reasons for rejected pixels."""
 
-from collections.abc import Mapping
-
 import numpy as np
-from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from decode import Reason, Reconstruction
-from evaluation.output.plots import map_axes, map_figure
-from evaluation.output.sheet import CLIPPED, Panel, contact_sheet, gray_limits
+from evaluation.output.plots import map_figure
+from evaluation.output.sheet import CLIPPED, Panel, contact_sheet, gray_limits, panel_figure
 from scenes.files.stack import Stack
 from scenes.files.truth_maps import Truth
 
-# Valid is light gray; the reasons have Okabe and Ito's colours.
-VALID = "#e8e8e8"
-REASON_COLOURS = (
-    "#000000",
-    "#D55E00",
-    "#0072B2",
-    "#E69F00",
-    "#CC79A7",
-    "#009E73",
-    "#56B4E9",
-    "#F0E442",
-)
 # Maximum number of exposures shown.
 FRAMES_SHOWN = 6
 
@@ -76,42 +61,22 @@ def frames_picture(stack: Stack) -> Figure:
     return contact_sheet(panels, columns=min(3, len(panels)), thumb_px=400)
 
 
-def phase_figures(rec: Reconstruction) -> Mapping[str, Figure]:
+def phase_figures(rec: Reconstruction) -> tuple[Figure, Figure]:
     """Wrapped and absolute phase of the measuring axis, rejected pixels left out."""
+    limits = (-np.pi, np.pi)
+    wrapped = map_figure(rec.wrapped_rad, "Wrapped phase", "rad", limits=limits, cmap="twilight")
     absolute = np.where(rec.valid, rec.phase_rad, np.nan)
-    return {
-        "wrapped": map_figure(
-            rec.wrapped_rad, "Wrapped phase", "rad", limits=(-np.pi, np.pi), cmap="twilight"
-        ),
-        "absolute": map_figure(absolute, "Absolute phase", "rad"),
-    }
+    return wrapped, map_figure(absolute, "Absolute phase", "rad")
 
 
 def reason_map(rec: Reconstruction) -> Figure:
-    """Map of the reason why each pixel was rejected; the legend gives each reason's share."""
+    """Map of the reason why each pixel was rejected, with each reason's share."""
+    # Valid first, which is plain gray, also where no pixel is.
+    present = [r for r in Reason if r is Reason.OK or (rec.reason == r).any()]
     shares = rec.reason_fractions()
-    present = [reason for reason in Reason if (rec.reason == reason).any()]
-    colours = [
-        VALID if r is Reason.OK else REASON_COLOURS[int(r) % len(REASON_COLOURS)] for r in present
-    ]
+    names = [f"{r.label}\n{100 * shares.get(r.label, 0.0):.2f} %" for r in present]
     index = np.searchsorted([int(r) for r in present], rec.reason)
-    figure, axes = map_axes((rec.reason.shape[0], rec.reason.shape[1]), right=2.3)
-    norm = BoundaryNorm(np.arange(len(present) + 1) - 0.5, len(present))
-    axes.imshow(index, cmap=ListedColormap(colours), norm=norm, interpolation="nearest")
-    axes.set(
-        title="Valid pixels, and why others were rejected", xlabel="column (px)", ylabel="row (px)"
-    )
-    handles = [axes.scatter([], [], marker="s", s=60, color=c, edgecolors="gray") for c in colours]
-    names = [f"{r.label}: {100 * shares.get(r.label, 0.0):.2f} %" for r in present]
-    axes.legend(
-        handles,
-        names,
-        loc="upper left",
-        bbox_to_anchor=(1.02, 1.0),
-        borderaxespad=0,
-        fontsize="small",
-    )
-    return figure
+    return panel_figure(Panel("Valid pixels, and why others were rejected", index, names=names))
 
 
 def _radiance(stack: Stack) -> NDArray[np.float64]:

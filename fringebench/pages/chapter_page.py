@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from matplotlib.figure import Figure
 from rich.table import Table
 
-from evaluation.output.report import Grid, Listing, Paragraph, Picture, Report, Section
+from evaluation.output.report import Listing, Paragraph, Picture, Report, Section
 from fringebench.experiments.textbook import ChapterResult
-from fringebench.pages.figure_tables import figure_table
+from fringebench.pages.figure_tables import figure_table, grid
 from fringebench.pages.headlines import chapter_headline
 from fringebench.pages.origin import provenance
 from fringebench.pages.score_tables import number
@@ -31,10 +31,6 @@ def chapter_report(
     seconds: Mapping[str, float],
 ) -> Report:
     """The page: `drawn` are the figures by name, `toml` the scenes by name."""
-    rows = [
-        [row.name, f"{row.chapter:.4f}", f"{row.theory:.4f}", f"{row.measured:.4f}", row.note]
-        for row in result.rows
-    ]
     about = provenance("", seed, seconds)
     listings = [Listing(f"Scene {name} as TOML", text) for name, text in toml.items()]
     return Report(
@@ -44,7 +40,7 @@ def chapter_report(
             Section(
                 "Chapter, theory, measured",
                 [
-                    Grid(("figure", "chapter", "theory", "measured", "note"), rows, words=True),
+                    grid(chapter_table(result), words=True),
                     Paragraph(
                         "Chapter: the printed figure. Theory: prediction from noise, rounding and clipping of the rendered light. "
                         "Measured: result of the decoder."

@@ -17,9 +17,10 @@ from evaluation.output.scene_pictures import (
     scene_picture,
 )
 from fringebench.experiments.whole_run import Run
+from fringebench.pages.figure_tables import grid
 from fringebench.pages.headlines import run_headline
 from fringebench.pages.origin import provenance
-from fringebench.pages.score_tables import fused_title, number, score_rows
+from fringebench.pages.score_tables import feature_table, fused_title, score_rows
 
 SCORE_COLUMNS = (
     "region", "pixels", "valid %", "bias µm", "RMS µm", "predicted µm", "p95 µm", "outliers %",
@@ -42,7 +43,7 @@ def run_report(run: Run, spent: Mapping[str, float]) -> Report:
     rec, truth, stack = run.reconstruction, run.truth, run.stack
     drawn = figures(rec, truth)
     profiles = [name for name in drawn if name.startswith("profile-")]
-    phase = phase_figures(rec)
+    wrapped, absolute = phase_figures(rec)
     measured = [
         Picture(drawn[name], CAPTIONS[name])
         for name in ("modulation", "sigma", "render_noise")
@@ -81,10 +82,9 @@ def run_report(run: Run, spent: Mapping[str, float]) -> Report:
             Section(
                 "Phase and modulation",
                 [
-                    Picture(phase["wrapped"], "Phase of the finest fringes, before unwrapping."),
+                    Picture(wrapped, "Phase of the finest fringes, before unwrapping."),
                     Picture(
-                        phase["absolute"],
-                        "Phase after unwrapping: the projector column seen by each pixel.",
+                        absolute, "Phase after unwrapping: the projector column seen by each pixel."
                     ),
                     *measured,
                     Picture(reason_map(rec), "Where heights are given, and why not elsewhere."),
@@ -110,11 +110,7 @@ def _scores(run: Run) -> list[Block]:
         ),
     ]
     if run.score.features:
-        rows = [
-            [name, number(f.measured_mm, 1, 4), number(f.truth_mm, 1, 4)]
-            for name, f in run.score.features.items()
-        ]
-        blocks.append(Grid(["feature", "measured mm", "truth mm"], rows, "Features"))
+        blocks.append(grid(feature_table(run.score)))
     return blocks
 
 
