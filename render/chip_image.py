@@ -9,6 +9,7 @@ from render.point_spread import binned, blurred, spread_kernel
 from render.transport import Transport
 from render.unsteady_light import STEADY, Moment
 from scenes.acquisition.sensor import Sensor, without_blur
+from scenes.rig.devices import EVEN
 
 Floats = NDArray[np.float64]
 
@@ -97,7 +98,7 @@ def through_lens(transport: Transport) -> Transport:
     """
     scene = transport.scene
     total, direct = (Image.of(transport, scene.sensor, direct_only=d) for d in (False, True))
-    camera = scene.camera.model_copy(update={"vignetting": (), "evenness": None})
+    camera = scene.camera.model_copy(update=EVEN)
     return replace(
         transport,
         total=total.light,

@@ -71,6 +71,7 @@ from scenes.rig.devices import (
     Telecentric,
     TelecentricLens,
 )
+from scenes.rig.illumination_map import IlluminationMap
 from scenes.rig.projection import Projection
 from scenes.rig.projectors import PinholeProjector, TelecentricProjector
 from scenes.scene import Ambient, AutoExposure, Exposures, Object, Sampling, Scene
@@ -108,7 +109,7 @@ __all__ = [
     "Capture", "Channel", "Choice", "Conductor", "Constant", "DatasetError", "DecodeError",
     "DecoderError", "Dielectric", "Diffuse", "Disk", "Emva", "Exposures", "Extrinsics", "FileError",
     "Frame", "FringebenchError", "FringebenchWarning", "GerberBoard", "Glossy", "Grains",
-    "GrayBits", "GrayCode", "Hole", "ImpossibleError", "LogNormal", "LookAt", "MeshError",
+    "GrayBits", "GrayCode", "Hole", "IlluminationMap", "ImpossibleError", "LogNormal", "LookAt", "MeshError",
     "MeshFile", "ModulatedPhaseShift", "Normal", "Object", "PadTruth", "ParametricBoard", "Part", "PatternSeries", "PhaseShift", "Pinhole",
     "PinholeLens", "PinholeProjector", "Plate", "Projection", "RenderError", "Sampling", "Scene",
     "SceneError", "ScoreError", "Sensor", "SimpleSensor", "Stack", "Telecentric", "TelecentricLens",

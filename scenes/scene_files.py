@@ -110,6 +110,12 @@ def parse(
         shape = item.get("shape", {}) if isinstance(item, dict) else {}
         if isinstance(shape, dict) and isinstance(shape.get("path"), str):
             shape["path"] = str(folder / shape["path"])
+    projectors = tree.get("projectors")
+    devices = [tree.get("camera"), *(projectors if isinstance(projectors, list) else [])]
+    for device in devices if folder else []:
+        measured = device.get("illumination_map") if isinstance(device, dict) else None
+        if isinstance(measured, dict) and isinstance(measured.get("path"), str):
+            measured["path"] = str(folder / measured["path"])
     board = tree.get("board") if folder else None
     if isinstance(board, dict):
         _resolve_board(board, folder or Path())

@@ -15,6 +15,7 @@ from evaluation.scoring.error_budget import Causes, ErrorBudget, variants
 from evaluation.scoring.error_budget import budget as add_up
 from fringebench.progress import StepProgress, Steps
 from scenes.acquisition.sensor import Emva, Sensor, without_blur
+from scenes.rig.devices import EVEN
 from scenes.support.errors import DecodeError, FringebenchError
 
 Floats = NDArray[np.float64]
@@ -113,10 +114,7 @@ def has_cause(scene: scenes.Scene, cause: str) -> bool:
 
 def without_causes(scene: scenes.Scene, off: Causes) -> scenes.Scene:
     """The scene without the causes of its devices, of ambient light and of vibration that are off."""
-    devices: dict[str, dict[str, Any]] = {
-        "defocus": {"lens": None},
-        "vignetting": {"vignetting": (), "evenness": None},
-    }
+    devices: dict[str, dict[str, Any]] = {"defocus": {"lens": None}, "vignetting": dict(EVEN)}
     emission = devices | {
         "gamma": {"gamma": 1.0},
         "projector-quantisation": {"bits": 0},

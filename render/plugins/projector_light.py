@@ -21,7 +21,14 @@ class Light:
 
     def __init__(self, projector: Projector, optics: Optics, channels: Sequence[Channel]) -> None:
         self.optics = optics
-        self.vignetting = None if projector.even else projector.relative_illumination
+        polynomials = not projector.polynomials_even
+        self.vignetting = projector.smooth_illumination if polynomials else None
+        self.map = None
+        if projector.illumination_map is not None:
+            values = projector.illumination_map.values().astype(np.float32)[..., None]
+            # Texture units of a GPU would interpolate in 256 steps.
+            self.map = mi.Texture2f(mi.TensorXf(values), use_accel=False)
+            self.size = projector.resolution
         strength = projector.irradiance_w_m2
         if isinstance(projector, PinholeProjector):
             strength *= projector.reference_mm**2
@@ -60,6 +67,9 @@ class Light:
             irradiance /= dr.square(local.z)
         if self.vignetting is not None:
             irradiance *= self.vignetting(pixel.x, pixel.y)
+        if self.map is not None:
+            columns, rows = self.size
+            irradiance *= self.map.eval(mi.Point2f(pixel.x / columns, pixel.y / rows))[0]
         return irradiance, pixel, lit
 
     def channel_values(self, pixel: Any, active: Any) -> list[Any]:

@@ -5,12 +5,14 @@ coordinates put a pixel's centre at integer + 0.5; OpenCV puts it at the integer
 OpenCV is half a pixel larger here.
 """
 
+from types import MappingProxyType
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Discriminator, Field, PositiveFloat, PositiveInt, Tag, model_validator
 
+from scenes.rig.illumination_map import IlluminationMap, interpolated
 from scenes.rig.projection import Coefficients, Projection, distort, monotone_radius, undistort
 from scenes.support.frozen import Frozen
 
@@ -33,6 +35,10 @@ def require_reach(what: str, *coordinates: float) -> None:
         raise ValueError(
             f"{what} reach to {farthest:.3g}: keep them within {MAX_COORDINATE_MM:.0e} mm"
         )
+
+
+# Keys of a device that is equally bright all over its image, and their values.
+EVEN = MappingProxyType({"vignetting": (), "evenness": None, "illumination_map": None})
 
 
 class LookAt(Frozen):
@@ -136,12 +142,14 @@ class Device(Frozen):
     evenness: tuple[float, float, float, float, float] | None = None
     """Of light that is not centred or not round: coefficients of u, v, u^2, u v, v^2 added to 1, where u and v go from -1 to
     1 across the image. Multiplies `vignetting`."""
+    illumination_map: IlluminationMap | None = None
+    """Measured, as an image. Multiplies the others."""
 
     @model_validator(mode="after")
     def _corners_have_light(self) -> Self:
         width, height = self.resolution
         across = np.linspace(0.0, 1.0, 65)
-        share = self.relative_illumination(width * across, height * across[:, None])
+        share = self.smooth_illumination(width * across, height * across[:, None])
         if not (np.isfinite(share).all() and np.min(share) > 0.0):
             key = "vignetting" if self.evenness is None else "vignetting times evenness"
             raise ValueError(
@@ -151,7 +159,16 @@ class Device(Frozen):
         return self
 
     def relative_illumination(self, column: Any, row: Any) -> Any:
-        """Illumination over the image centre's at continuous pixels; NumPy or Dr.Jit arrays."""
+        """Illumination over the image centre's at continuous pixels (NumPy arrays), map included; raises `FileError` for a map that is gone."""
+        share = self.smooth_illumination(column, row)
+        if self.illumination_map is not None:
+            width, height = self.resolution
+            values = self.illumination_map.values()
+            share = share * interpolated(values, column / width, row / height)
+        return share
+
+    def smooth_illumination(self, column: Any, row: Any) -> Any:
+        """That of `vignetting` and `evenness` alone; NumPy or Dr.Jit arrays."""
         width, height = self.resolution
         x, y = column - width / 2, row - height / 2
         r2 = (x * x + y * y) * (4.0 / (width**2 + height**2))
@@ -168,6 +185,11 @@ class Device(Frozen):
     @property
     def even(self) -> bool:
         """Whether illumination is the same all over the image."""
+        return self.polynomials_even and self.illumination_map is None
+
+    @property
+    def polynomials_even(self) -> bool:
+        """Whether neither `vignetting` nor `evenness` is given."""
         return not self.vignetting and self.evenness is None
 
 
