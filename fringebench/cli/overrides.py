@@ -1,4 +1,4 @@
-"""``--set key=value`` on the command line: values are TOML, bare words are text."""
+"""``--set key=value`` (values are TOML, bare words are text) and ``--name PART=NAME`` on the command line."""
 
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
@@ -31,6 +31,23 @@ def parse_overrides(
         )
     overrides |= {f"sampling.{key}": value for key, value in limits.items() if value is not None}
     return overrides
+
+
+def part_names(given: Iterable[str]) -> dict[str, str]:
+    """Part -> name of each ``PART=NAME``; `FileError` for another form.
+
+    >>> part_names(["first_matrix=cam_K"])
+    {'first_matrix': 'cam_K'}
+    """
+    from scenes.support.errors import FileError
+
+    names = {}
+    for text in given:
+        part, equals, name = text.partition("=")
+        if not equals or not part or not name:
+            raise FileError(f"--name '{text}': write PART=NAME, such as first_matrix=cam_K")
+        names[part] = name
+    return names
 
 
 def override_exposed(scene: "Scene", settings: Iterable[str]) -> "Scene":

@@ -57,6 +57,17 @@ RenderNoise = Annotated[
 ]
 Seed = Annotated[int, typer.Option(help="Seed of light paths and sensor noise.", min=0)]
 Fusion = Annotated[str, typer.Option(help="Exposure fusion rule.", autocompletion=fusion_rules)]
+PartNames = Annotated[
+    list[str],
+    typer.Option(
+        "--name",
+        metavar="PART=NAME",
+        help="The file's own name of a part, e.g. second_distortion=D2; may be repeated.",
+    ),
+]
+MmPerUnit = Annotated[
+    float | None, typer.Option(help="Millimetres per unit of the calibration: 1000 for metres.")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 ShowProgress = Annotated[
     Mode,

@@ -9,7 +9,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from fringebench.cli.outputs import check_outputs
-from fringebench.cli.shared_options import AsJson, Fusion, ShowProgress
+from fringebench.cli.overrides import part_names
+from fringebench.cli.shared_options import AsJson, Fusion, MmPerUnit, PartNames, ShowProgress
 from fringebench.cli.terminal import answer_console, print_json, progress_steps, say
 from fringebench.progress import Mode
 
@@ -121,18 +122,9 @@ def stereo(
     output: Annotated[Path, typer.Option("-o", "--output", help="Reconstruction file.")] = Path(
         "reconstruction.exr"
     ),
-    mm_per_unit: Annotated[
-        float | None, typer.Option(help="Millimetres per unit of the calibration: 1000 for metres.")
-    ] = None,
+    mm_per_unit: MmPerUnit = None,
     fusion: Fusion = "max-modulation",
-    names: Annotated[
-        list[str],
-        typer.Option(
-            "--name",
-            metavar="PART=ENTRY",
-            help="What the files call a part, e.g. second_distortion=D2; may be repeated.",
-        ),
-    ] = [],  # noqa: B006
+    name: PartNames = [],  # noqa: B006
     roi: Annotated[
         tuple[int, int, int, int] | None,
         typer.Option(metavar="ROW0 ROW1 COL0 COL1", help="Only this region of the first camera."),
@@ -145,11 +137,8 @@ def stereo(
     import scenes
     from decode.stereo_phase import stereo as match
     from scenes.rig.opencv_calibration import Source
-    from scenes.support.errors import FileError
 
-    entries = dict(name.split("=", 1) for name in names if "=" in name)
-    if wrong := [name for name in names if "=" not in name]:
-        raise FileError(f"--name {wrong[0]}: give PART=ENTRY, e.g. second_distortion=D2")
+    entries = part_names(name)
     stacks = [scenes.Stack.read(path) for path in (left, right)]
     pair = Source(files=tuple(calibration), mm_per_unit=mm_per_unit, names=entries).pair()
     cameras = pair.cameras(stacks[0].resolution, stacks[1].resolution)

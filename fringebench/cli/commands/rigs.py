@@ -8,21 +8,20 @@ from rich.markup import escape
 from rich.table import Table
 
 from fringebench.cli.outputs import check_outputs
-from fringebench.cli.overrides import parse_overrides
-from fringebench.cli.shared_options import AsJson, SceneName, Seed, Settings, ShowProgress
+from fringebench.cli.overrides import parse_overrides, part_names
+from fringebench.cli.shared_options import (
+    AsJson,
+    MmPerUnit,
+    PartNames,
+    SceneName,
+    Seed,
+    Settings,
+    ShowProgress,
+)
 from fringebench.cli.terminal import answer_console, print_json, progress_steps, say
 from fringebench.progress import Mode
 
 app = typer.Typer()
-
-Names = Annotated[
-    list[str],
-    typer.Option(
-        "--name",
-        metavar="PART=NAME",
-        help="The file's own name of a part, e.g. first_matrix=A; may be repeated.",
-    ),
-]
 
 
 @app.command(epilog="Example: fringebench twin procam.yml -o mine.toml --distance-mm 600")
@@ -49,13 +48,11 @@ def twin(
         tuple[int, int] | None,
         typer.Option(metavar="COLUMNS ROWS", help="If the file does not say."),
     ] = None,
-    mm_per_unit: Annotated[
-        float | None, typer.Option(help="Millimetres per unit of the calibration: 1000 for metres.")
-    ] = None,
+    mm_per_unit: MmPerUnit = None,
     second_to_first: Annotated[
         bool, typer.Option(help="R and T take projector points to the camera.")
     ] = False,
-    name: Names = [],  # noqa: B006
+    name: PartNames = [],  # noqa: B006
     as_json: AsJson = False,
 ) -> None:
     """Turn a calibration or two data sheets into a scene: the user's own rig in front of a plate, a cap and a step."""
@@ -71,7 +68,7 @@ def twin(
     if calibration:
         source = Source(
             files=tuple(calibration),
-            names=_names(name),
+            names=part_names(name),
             mm_per_unit=mm_per_unit,
             second_to_first=second_to_first,
             distance_mm=distance_mm,
@@ -176,15 +173,3 @@ def accept(
         )
     if limit_um is not None and max(worst.values()) * 1e3 > limit_um:
         raise typer.Exit(1)
-
-
-def _names(given: list[str]) -> dict[str, str]:
-    from scenes.support.errors import FileError
-
-    names = {}
-    for text in given:
-        part, equals, name = text.partition("=")
-        if not equals or not part or not name:
-            raise FileError(f"--name '{text}': write PART=NAME, such as first_matrix=cam_K")
-        names[part] = name
-    return names

@@ -66,4 +66,4 @@ def test_parts_of_other_names_are_found_by_name(captured: np.ndarray, call: Call
     rec = decode.Reconstruction.read("reconstruction.exr")
     assert rec.valid.any() and not rec.valid[:20].any()
     status, _, err = call("stereo", *words, "--name", "rotation")
-    assert (status, "PART=ENTRY" in err) == (2, True)
+    assert (status, "PART=NAME" in err) == (2, True)
