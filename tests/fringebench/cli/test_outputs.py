@@ -2,14 +2,12 @@
 
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from rich.table import Table
 
 from fringebench.cli.terminal import print_figures
-from scenes import Stack
 
 Call = Callable[..., tuple[int, str, str]]
 SMALL = ["--set", "camera.resolution=[24,18]", "--set", "sampling.samples=2"]
@@ -55,15 +53,6 @@ def test_two_outputs_of_one_name_are_refused(folder: Path, call: Call) -> None:
 def test_output_with_the_name_of_a_shipped_scene_is_written(folder: Path, call: Call) -> None:
     assert call("render", "step", "-o", "step", *SMALL)[0] == 0
     assert (folder / "step").is_file()
-
-
-def test_messages_name_the_options_of_the_command(folder: Path, call: Call) -> None:
-    replace(Stack.read("stack.exr"), calibration=None).write("bare.exr")
-    status, _, err = call("decode", "bare.exr", "-o", "r.exr")
-    assert status == 2
-    assert "--c-px-per-mm" in err
-    assert "--height phase" in err
-    assert "c_px_per_mm" not in err
 
 
 def test_version_is_printed(call: Call) -> None:

@@ -29,6 +29,8 @@ def test_every_sample_has_its_files_and_its_row(undisturbed: Path) -> None:
         assert sorted(p.name for p in (undisturbed / row["folder"]).iterdir()) == sorted(FILES)
     assert not (undisturbed / "records").exists()
     assert not list(undisturbed.glob(".staging*"))
+    for path in undisturbed.rglob("*.json"):
+        json.loads(path.read_text(), parse_constant=pytest.fail)  # no NaN
 
 
 def test_sample_is_what_its_scene_and_seeds_render(undisturbed: Path) -> None:
@@ -156,8 +158,3 @@ def test_reading_something_else_is_refused(tmp_path: Path, copy: Path) -> None:
     (copy / "manifest.parquet").unlink()
     with pytest.raises(DatasetError, match="not finished"):
         fringebench.Dataset(copy)
-
-
-def test_labels_carry_no_nan(undisturbed: Path) -> None:
-    for path in undisturbed.rglob("*.json"):
-        json.loads(path.read_text(), parse_constant=pytest.fail)

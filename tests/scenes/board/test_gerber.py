@@ -76,20 +76,6 @@ def test_file_names_of_other_tools_are_known(
     )
 
 
-def test_declared_functions_win_over_file_names(tmp_path: Path) -> None:
-    body = "%ADD10C,0.5*%\nD10*\nX0Y0D03*\n"
-    write(tmp_path, "a.gbr", body, "%TF.FileFunction,Paste,Top*%\n" + HEAD)
-    write(tmp_path, "b.gbr", body, "G04 #@! TF.FileFunction,Soldermask,Top*\n" + HEAD)
-    write(tmp_path, "c.gbr", body, "%TF.FileFunction,Copper,L1,Top*%\n" + HEAD)
-    write(tmp_path, "d.gbr", body, "%TF.FileFunction,Copper,L4,Bot*%\n" + HEAD)
-    found = gerber.layer_files(tmp_path, "top", {})
-    assert {role: path.name for role, path in found.items()} == {
-        "paste": "a.gbr",
-        "mask": "b.gbr",
-        "copper": "c.gbr",
-    }
-
-
 def test_bottom_is_mirrored(tmp_path: Path) -> None:
     path = write(tmp_path, "p.gbp", f"%ADD10R,1X0.5*%\nD10*\n{mm(3, 1)}D03*\n")
     (pad,) = gerber.read_pads(path, mirrored=True)
@@ -122,39 +108,6 @@ def test_aperture_area_is_exact(tmp_path: Path, name: str) -> None:
     np.testing.assert_allclose(
         np.array(pad.aperture.bounds).reshape(2, 2).mean(axis=0), 0.0, atol=2e-3
     )
-
-
-def test_inches_are_converted(tmp_path: Path) -> None:
-    head = "%FSLAX24Y24*%\n%MOIN*%\n%LPD*%\n"
-    path = write(tmp_path, "p.gtp", "%ADD10R,0.0400X0.0200*%\nD10*\nX10000Y5000D03*\n", head)
-    (pad,) = gerber.read_pads(path)
-    assert pad.centre_mm == pytest.approx((25.4, 12.7))
-    assert pad.aperture.area == pytest.approx(0.04 * 0.02 * 25.4**2, rel=1e-5)
-
-
-def test_drawn_shapes_are_pads(tmp_path: Path) -> None:
-    region = "G36*\n" + mm(0, 0) + "D02*\n"
-    region += "".join(mm(x, y) + "D01*\n" for x, y in ((1, 0), (1, 0.5), (0, 0.5), (0, 0)))
-    stroke = f"%ADD10C,0.3*%\nD10*\n{mm(3, 0)}D02*\n{mm(4, 0)}D01*\n"
-    path = write(tmp_path, "p.gtp", f"G01*\n{region}G37*\n{stroke}")
-    pads = gerber.read_pads(path)
-    assert len(pads) == 2
-    areas = sorted(pad.aperture.area for pad in pads)
-    assert areas == pytest.approx([0.3 + np.pi * 0.15**2, 0.5], rel=1e-3)
-    assert {tuple(np.round(pad.centre_mm, 6)) for pad in pads} == {(0.5, 0.25), (3.5, 0.0)}
-
-
-def test_clear_polarity_removes_paste(tmp_path: Path) -> None:
-    body = f"%ADD10R,2X2*%\nD10*\n{mm(0, 0)}D03*\n%LPC*%\n%ADD11R,0.5X4*%\nD11*\n{mm(0, 0)}D03*\n"
-    pads = gerber.read_pads(write(tmp_path, "p.gtp", body))
-    assert [pad.aperture.area for pad in pads] == pytest.approx([1.5, 1.5])
-
-
-def test_overlapping_flashes_are_one_opening(tmp_path: Path) -> None:
-    body = f"%ADD10R,1X1*%\nD10*\n{mm(0, 0)}D03*\n{mm(5, 0)}D03*\n{mm(0.5, 0)}D03*\n"
-    pads = gerber.read_pads(write(tmp_path, "p.gtp", body))
-    assert [pad.aperture.area for pad in pads] == pytest.approx([1.5, 1.0])
-    assert [pad.centre_mm for pad in pads] == [(0.0, 0.0), (5.0, 0.0)]
 
 
 def test_cut_out_is_removed_from_the_board(tmp_path: Path) -> None:

@@ -48,6 +48,8 @@ FILES: dict[str, tuple[str, list[float]]] = {
     "clear between": (f"{BOX}{at(0, 0, 'D03')}{CLEAR}{at(1, 0, 'D03')}{at(9, 0, 'D03')}", [0.5, 0.5]),
     "clear last": (f"{BOX}{at(0, 0, 'D03')}{at(9, 0, 'D03')}{CLEAR}", [0.5]),
     "clear in part": (f"{BOX}{at(0, 0, 'D03')}%LPC*%\n{rectangle(0, -1, 1, 1)}", [0.25]),
+    "flashes that overlap": (f"{BOX}{at(0, 0, 'D03')}{at(5, 0, 'D03')}{at(0.5, 0, 'D03')}", [0.75, 0.5]),
+    "region and stroke": (f"{rectangle(0, 0, 1, 0.5)}%ADD10R,0.2X0.2*%\nD10*\n{at(3, 0, 'D02')}{at(4, 0, 'D01')}", [0.5, 0.24]),
     "flash on a region": (f"{rectangle(-1, -1, 1, 1)}%ADD10C,0.8*%\nD10*\n{at(0, 0, 'D03')}", [4.0]),
     "region on a flash": (f"{BOX}{at(0, 0, 'D03')}{rectangle(-0.5, -0.25, 0.5, 0.25)}", [0.5]),
     "flash beyond a region": (f"{rectangle(0, -0.25, 1, 0.25)}{BOX}{at(0, 0, 'D03')}", [0.75]),
@@ -184,7 +186,9 @@ def test_mirroring_rotation_and_scaling_apply_in_that_order(tmp_path: Path) -> N
 def test_repeats_are_at_their_places_in_inches_too(tmp_path: Path) -> None:
     head = "%FSLAX24Y24*%\n%MOIN*%\n"
     body = "%ADD10R,0.04X0.02*%\n%SRX2Y2I0.2J0.1*%\nD10*\nX0Y0D03*\n%SR*%\n"
-    centres = [(pad.centroid.x, pad.centroid.y) for pad in pads_of(tmp_path, body, head)]
+    pads = pads_of(tmp_path, body, head)
+    centres = [(pad.centroid.x, pad.centroid.y) for pad in pads]
+    assert pads[0].area == pytest.approx(0.04 * 0.02 * 25.4**2, rel=ROUNDED)
     # Columns first, then rows: the order of the specification.
     expected = [(x * 5.08, y * 2.54) for x in (0, 1) for y in (0, 1)]
     np.testing.assert_allclose(centres, expected, atol=1e-6)
@@ -292,16 +296,19 @@ def test_end_near_a_line_is_joined_to_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("attribute", ["Paste,Bot", "Paste,Bottom"])
-def test_bottom_layers_are_found_by_attribute(tmp_path: Path, attribute: str) -> None:
-    body = f"{HEAD}{BOX}{at(0, 0, 'D03')}M02*\n"
-    (tmp_path / "l1.gbr").write_text(f"%TF.FileFunction,{attribute}*%\n{body}")
-    (tmp_path / "l2.gbr").write_text(f"%TF.FileFunction,Soldermask,Bot*%\n{body}")
-    (tmp_path / "l3.gbr").write_text(f"%TF.FileFunction,Paste,Top*%\n{body}")
-    (tmp_path / "l4.gbr").write_text(f"%TF.FileFunction,Copper,L2,Bot,Signal*%\n{body}")
+def test_declared_functions_win_over_file_names(tmp_path: Path, attribute: str) -> None:
+    functions = (attribute, "Soldermask,Bot", "Paste,Top", "Copper,L2,Bot,Signal", "Copper,L1,Top")
+    for i, function in enumerate(functions):
+        # Before X2 attributes existed, they were comments.
+        words = "G04 #@! TF.FileFunction,{}*" if i == 1 else "%TF.FileFunction,{}*%"
+        text = f"{words.format(function)}\n{HEAD}{BOX}{at(0, 0, 'D03')}M02*\n"
+        (tmp_path / f"l{i}.gbr").write_text(text)
     found = gerber.layer_files(tmp_path, "bottom", {})
-    assert {role: path.name for role, path in found.items()} == {
-        "paste": "l1.gbr",
-        "mask": "l2.gbr",
+    expected = {"paste": "l0.gbr", "mask": "l1.gbr", "copper": "l3.gbr"}
+    assert {role: path.name for role, path in found.items()} == expected
+    top = gerber.layer_files(tmp_path, "top", {})
+    assert {role: path.name for role, path in top.items()} == {
+        "paste": "l2.gbr",
         "copper": "l4.gbr",
     }
 
