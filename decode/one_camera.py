@@ -1,5 +1,6 @@
 """Decoding of one camera's stack: one projector after the other, the better of them per pixel, and the region asked for."""
 
+import warnings
 from dataclasses import replace
 from typing import Any
 
@@ -15,12 +16,15 @@ from decode.height.calibrated_view import view_of
 from decode.options import Options
 from decode.reason import Reason
 from decode.reconstruction import AxisPhase, Reconstruction
+from decode.validity.error_causes import across_projectors, by_cause
 from scenes.files.stack import Stack
-from scenes.support.errors import DecodeError
+from scenes.support.errors import DecodeError, FringebenchWarning
 from scenes.support.memory import room_for
 
 # Memory per pixel of what comes out, as measured; frames are read in place.
 PIXEL_BYTES = 24
+# Valid pixels that may lie on surfaces which lose much modulation, before the whole stack is in doubt.
+FEW = 0.05
 
 
 def decode_fringes(stack: Stack, options: Options) -> Reconstruction:
@@ -39,6 +43,7 @@ def decode_fringes(stack: Stack, options: Options) -> Reconstruction:
     device = Device.open(options.backend)
     rule = options.rule().prepare(stack)
     best: Reconstruction | None = None
+    lost = 0.0
     for projector in projectors:
         planner = Planner(stack, options, projector)
         reference = _reference_px(planner) if options.height == "reference-plane" else None
@@ -48,15 +53,28 @@ def decode_fringes(stack: Stack, options: Options) -> Reconstruction:
             f"decoding {columns} x {rows} pixels",
             "decode strips of the frames, each with a calibration of its own pixels",
         ):
-            found = Kernel(planner.plan(reference), device, rule).decode()
+            found, signs = Kernel(planner.plan(reference), device, rule).decode()
         factor = plain.sigma_factor.get((projector, found.axis))
         if factor is not None:
             merged = found.exposure >= len(factor)
             own = np.take_along_axis(factor, np.where(merged, 0, found.exposure)[None], axis=0)[0]
             own = np.where(merged, factor.mean(axis=0), own)
             found = replace(found, sigma_mm=found.sigma_mm * own)
+        if signs is not None:
+            found, share = by_cause(found, signs)
+            lost = max(lost, share)
         best = found if best is None else _better(best, found)
     assert best is not None  # A stack has at least one frame, so one projector.
+    if best.cause_sigma_mm and len(projectors) > 1:
+        best = across_projectors(best)
+    if lost > FEW:
+        warnings.warn(
+            f"fine fringes lose more than a quarter of their modulation on {lost:.0%} of the valid pixels: light spreads inside "
+            "the surface or between surfaces (with two periods it may also be defocus); heights there may be wrong by more "
+            "than total_sigma_mm",
+            FringebenchWarning,
+            stacklevel=2,
+        )
     if region is not None:
         best = _within(best, region)
     # Some pixels first: nearly always one of them is valid. Heights up to whole turns are an answer, and are named so.
@@ -110,8 +128,8 @@ def _reference_px(plan: Planner) -> NDArray[np.float64] | None:
 
 
 def _better(one: Reconstruction, two: Reconstruction) -> Reconstruction:
-    """Per pixel the valid one with the smaller predicted sigma."""
-    take = two.valid & (~one.valid | (two.sigma_mm < one.sigma_mm))
+    """Per pixel the valid one with the smaller predicted sigma, of all causes that were looked for."""
+    take = two.valid & (~one.valid | (two.total_sigma_mm < one.total_sigma_mm))
     images = (
         "height_mm",
         "sigma_mm",
@@ -131,7 +149,11 @@ def _better(one: Reconstruction, two: Reconstruction) -> Reconstruction:
         if axis in two.phases and two.phases[axis].period_px == phase.period_px
     }
     merged = {name: np.where(take, getattr(two, name), getattr(one, name)) for name in images}
-    return replace(one, phases=phases, **merged)
+    causes = {
+        cause: np.where(take, two.cause_sigma_mm[cause], sigma)
+        for cause, sigma in one.cause_sigma_mm.items()
+    }
+    return replace(one, phases=phases, cause_sigma_mm=causes, **merged)
 
 
 def _within(rec: Reconstruction, region: NDArray[np.bool_]) -> Reconstruction:
@@ -151,6 +173,7 @@ def _within(rec: Reconstruction, region: NDArray[np.bool_]) -> Reconstruction:
         rec,
         height_mm=kept(rec.height_mm),
         sigma_mm=kept(rec.sigma_mm),
+        cause_sigma_mm={cause: kept(sigma) for cause, sigma in rec.cause_sigma_mm.items()},
         modulation_dn=kept(rec.modulation_dn),
         offset_dn=kept(rec.offset_dn),
         reason=kept(rec.reason, Reason.OUTSIDE_ROI),

@@ -25,6 +25,7 @@ Height = Literal["triangulation", "reference-plane", "linear", "phase"]
 Saturation = Literal["reject", "ignore"]
 Gamma = float | Literal["estimate"]
 Backend = Literal["llvm", "cuda"]
+Uncertainty = Literal["sensor", "by-cause"]
 Roi = tuple[int, int, int, int] | NDArray[np.bool_]
 
 P = ParamSpec("P")
@@ -83,6 +84,9 @@ class Options:
     a shadow: black ink sends back 5 % or more of what its surroundings do. 0: never, and the borders of shadows are not searched either."""
     max_order_residual: float = 0.25
     """How far from a whole number, in periods, a predicted order may be; 0.5 accepts all."""
+    uncertainty: Uncertainty = "sensor"
+    """by-cause: also look for mixed pixels and indirect light, reject what they spoil, and give a sigma for each; see
+    `Reconstruction.total_sigma_mm`."""
     backend: Backend | None = None
     """None: CUDA where there is a device."""
 
@@ -93,6 +97,10 @@ class Options:
                 known = [a for a in allowed if a is not None]
                 raise DecodeError(f"{name} is {value!r}: {nearest(str(value), known)}")
         self._require_types()
+        if self.uncertainty == "by-cause" and self.height == "phase":
+            raise DecodeError(
+                "uncertainty='by-cause' compares heights, but height is 'phase': leave one of them out"
+            )
         if self.exposure is not None and self.fusion != "single":
             raise DecodeError(
                 f"exposure {self.exposure} is given, but fusion is {self.fusion!r}: use fusion='single'"
@@ -141,7 +149,16 @@ class Options:
 
     def summary(self) -> dict[str, Any]:
         """The choices that shape the numbers, in JSON's types."""
-        named = ("saturation", "anchor", "gamma", "height", "c_px_per_mm", "projector", "exposure")
+        named = (
+            "saturation",
+            "anchor",
+            "gamma",
+            "height",
+            "c_px_per_mm",
+            "projector",
+            "exposure",
+            "uncertainty",
+        )
         limits = (
             "height_range_mm",
             "min_modulation_dn",
@@ -216,5 +233,6 @@ CHOICES: dict[str, tuple[str | None, ...]] = {
     "anchor": (None, *get_args(Anchor)),
     "height": (None, *get_args(Height)),
     "axis": (None, *get_args(Axis)),
+    "uncertainty": get_args(Uncertainty),
     "backend": (None, *get_args(Backend)),
 }

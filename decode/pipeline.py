@@ -10,6 +10,7 @@ from decode.options import (
     Options,
     Roi,
     Saturation,
+    Uncertainty,
     Unwrap,
     known_options,
 )
@@ -39,6 +40,7 @@ def reconstruct(
     min_modulation_dn: float | None = None,
     min_relative_modulation: float = STRAY_FRACTION,
     max_order_residual: float = 0.25,
+    uncertainty: Uncertainty = "sensor",
     backend: Backend | None = None,
 ) -> Reconstruction:
     """Decode a stack into heights.
@@ -84,6 +86,9 @@ def reconstruct(
         light in a shadow. 0: never.
     max_order_residual
         Largest distance, in periods, of a predicted fringe order from a whole number, above 0, up to 0.5 (accepts all).
+    uncertainty
+        ``"by-cause"``: also look for mixed pixels and indirect light, reject what they spoil (`mixed`, `stray`), and
+        predict their share in `Reconstruction.total_sigma_mm`.
     backend
         ``"llvm"`` or ``"cuda"``. None: CUDA where there is a device.
 
@@ -99,6 +104,11 @@ def reconstruct(
         A choice that is impossible for this stack, or no pixel can be decoded; the message names the cause.
     TooLargeError
         More pixels than memory holds.
+
+    Warns
+    -----
+    FringebenchWarning
+        With ``uncertainty="by-cause"``, when whole surfaces lose modulation as no opaque one does.
 
     Notes
     -----
@@ -130,6 +140,7 @@ def reconstruct(
             min_modulation_dn=min_modulation_dn,
             min_relative_modulation=min_relative_modulation,
             max_order_residual=max_order_residual,
+            uncertainty=uncertainty,
             backend=backend,
         ),
     )

@@ -28,6 +28,11 @@ class Reason(IntEnum):
     """The fringe order is known only up to whole turns, so the height may be off by whole fringes: nothing measured fixes
     it, and `reconstruct` was not asked to scan (``unwrap``, or ``anchor="spatial"``)."""
 
+    MIXED = 10
+    """The pixel sees two heights, and reports one that is neither: see `decode.validity.error_causes`."""
+    STRAY = 11
+    """A third or more of the fine fringes' modulation is lost to light that came by way of other surfaces."""
+
     @property
     def label(self) -> str:
         """The name as text: order-mismatch."""

@@ -22,6 +22,8 @@ KIND = "reconstruction"
 # What is known of the fringe order: the value of settings["resolved"]["order"].
 ORDER_ABSOLUTE, ORDER_UP_TO_TURNS = "absolute", "known only up to whole turns"
 Image = NDArray[np.float32]
+# Of `Reconstruction.cause_sigma_mm`.
+CAUSES = ("mixed", "stray")
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +70,8 @@ class Reconstruction(Displayed):
     """`Reason` code; 0 is valid."""
     exposure: NDArray[np.uint8]
     """Index of the exposure used; 255 where several were merged or none was."""
+    cause_sigma_mm: Mapping[str, Image] = field(default_factory=dict)
+    """Predicted standard deviation from each other cause, with ``uncertainty="by-cause"``; 0 where there is no sign of it."""
     axis: Axis = "column"
     """Projector axis that measured the height."""
     projector: NDArray[np.uint8] | None = None
@@ -147,6 +151,14 @@ class Reconstruction(Displayed):
         return np.asarray(self.reason == Reason.OK)
 
     @property
+    def total_sigma_mm(self) -> Image:
+        """Predicted standard deviation from the sensor and all other causes that were looked for, (row, col)."""
+        total = self.sigma_mm
+        for sigma in self.cause_sigma_mm.values():
+            total = np.hypot(total, sigma)
+        return total
+
+    @property
     def order_known(self) -> bool:
         """Whether something measured fixes the fringe order; else phases and heights may be off by whole fringes."""
         resolved = self.settings.get("resolved", {})
@@ -219,6 +231,8 @@ class Reconstruction(Displayed):
             "reason": self.reason.astype(np.float16),
             "exposure": self.exposure.astype(np.float16),
         }
+        for cause, sigma in self.cause_sigma_mm.items():
+            channels[f"{cause}.sigma_mm"] = sigma
         if self.projector is not None:
             channels["projector"] = self.projector.astype(np.float16)
         for axis, phase in self.phases.items():
@@ -257,6 +271,11 @@ class Reconstruction(Displayed):
                 offset_dn=channels["offset_dn"],
                 reason=_reasons(channels["reason"]),
                 exposure=exr.whole(channels["exposure"], np.uint8),
+                cause_sigma_mm={
+                    cause: channels[f"{cause}.sigma_mm"]
+                    for cause in CAUSES
+                    if f"{cause}.sigma_mm" in channels
+                },
                 axis=TypeAdapter(Axis).validate_python(meta["axis"]),
                 projector=exr.whole(channels["projector"], np.uint8)
                 if "projector" in channels

@@ -31,6 +31,8 @@ class AxisLanes:
     """Where samples are NaN or infinite."""
     samples: Samples | None = None
     """Of the finest fringes; None for Gray code alone."""
+    phasors: tuple[Phasor, ...] = ()
+    """Of each period, coarsest first."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,7 @@ class AxisTracer:
             device.root(phasors[-1].variance_rad2) * (period / TURN),
             self._not_a_number(phasors),
             samples[-1],
+            tuple(phasors),
         )
 
     def _cell(self, gray: gray_cells.GraySet, samples: list[Samples]) -> gray_cells.GrayCell:

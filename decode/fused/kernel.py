@@ -14,6 +14,7 @@ from decode.order import temporal
 from decode.reason import Reason
 from decode.reconstruction import AxisPhase, Reconstruction
 from decode.validity import limits
+from decode.validity.error_causes import Signs
 from decode.validity.stray_light import Coordinates, StrayLight
 
 
@@ -35,8 +36,8 @@ class Kernel:
         # Started here, to be done when the rest is traced.
         self._stray = self._stray_light()
 
-    def decode(self) -> Reconstruction:
-        """Trace the kernel, run it, and return its images."""
+    def decode(self) -> tuple[Reconstruction, Signs | None]:
+        """Trace the kernel, run it, and return its images; and signs of errors, where they are asked for."""
         plan, types = self._plan, self._device.types
         axes = {axis.axis: self._tracer.trace(axis) for axis in plan.axes}
         measured = axes[plan.axis]
@@ -71,8 +72,9 @@ class Kernel:
         for axis, decoded in axes.items():
             lanes[f"{axis}.wrapped"] = decoded.wrapped_rad
             lanes[f"{axis}.order"] = decoded.order
-        self._device.dr.eval(list(lanes.values()))
-        images: dict[str, NDArray[Any]] = {
+        signs = self._signs(measured) if plan.options.uncertainty == "by-cause" else []
+        self._device.dr.eval(list(lanes.values()), signs)
+        images: dict[str, Any] = {
             name: self._device.image(values, self._image) for name, values in lanes.items()
         }
         if self._stray is not None:
@@ -87,7 +89,7 @@ class Kernel:
             )
             for axis, decoded in axes.items()
         }
-        return Reconstruction(
+        rec = Reconstruction(
             axis=plan.axis,
             # One number, seen as an image.
             projector=np.broadcast_to(np.uint8(plan.projector), self._image),
@@ -98,6 +100,24 @@ class Kernel:
             | {"unwrap": plan.measuring.way, "resolved": plan.resolved()},
             **images,
         )
+        if not signs:
+            return rec, None
+        sigma_rad, *visibility = (self._device.image(values, self._image) for values in signs)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            mm_per_rad = rec.sigma_mm / sigma_rad
+        periods = tuple(fringes.period_px for fringes in plan.measuring.sets)
+        return rec, Signs(periods, tuple(visibility), sigma_rad, mm_per_rad)
+
+    def _signs(self, measured: AxisLanes) -> list[Lanes]:
+        """Sensor noise of the finest phase in rad, then B / A of each period."""
+        black, device = self._plan.stack.sensor.black_level_dn, self._device
+        return [
+            device.root(measured.phasor.variance_rad2),
+            *(
+                device.root(p.cosine * p.cosine + p.sine * p.sine) / (p.offset - black)
+                for p in measured.phasors
+            ),
+        ]
 
     def _stray_light(self) -> StrayLight | None:
         """The search for stray light; None if it is off, or the axis has no fringes."""

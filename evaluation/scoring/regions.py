@@ -6,7 +6,7 @@ Heights are compared pixel by pixel, ``error = measured - true``, along the came
 import json
 import warnings
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -58,6 +58,10 @@ class RegionScore:
     """Root mean square of the decoder's predicted standard deviations."""
     render_to_sensor_noise: float | None = None
     """Root mean square of the height noise of light paths over `predicted_sd_mm`, over the same pixels; None: not known."""
+    total_outlier_fraction: float | None = None
+    """As `outlier_fraction`, by the sigma of all causes (`decode.Reconstruction.total_sigma_mm`); None: none was looked for."""
+    total_sd_mm: float | None = None
+    """Root mean square of that sigma."""
 
 
 @dataclass(frozen=True)
@@ -238,15 +242,17 @@ def region_scores(
         limit = np.where(np.isfinite(sigma), outlier_sigmas * sigma, np.nan)
     else:
         limit = np.full(error.shape, outlier_mm)
+    total = rec.total_sigma_mm.astype(np.float64) if rec.cause_sigma_mm else None
     noise = truth.render_noise_mm
     if noise is None:
         noise = np.full(error.shape, np.nan, np.float32)
     regions = {}
     for label in truth.labels:
         mask = scored(truth, label, margin_px)
-        regions[label] = _region(
-            error[mask], sigma[mask], limit[mask], ~rec.valid[mask], noise[mask]
-        )
+        region = _region(error[mask], sigma[mask], limit[mask], ~rec.valid[mask], noise[mask])
+        if total is not None:
+            region = _with_total(region, error[mask], total[mask], outlier_sigmas)
+        regions[label] = region
     return regions
 
 
@@ -357,6 +363,18 @@ def _region(
         ratio = np.sqrt(np.mean(render_noise[both].astype(np.float64) ** 2) / sensor)
         figures["render_to_sensor_noise"] = float(ratio)
     return RegionScore(**figures)
+
+
+def _with_total(
+    region: RegionScore, error: NDArray[np.float64], total: NDArray[np.float64], sigmas: float
+) -> RegionScore:
+    """With the figures of the sigma of all causes, of pixels (pixel,)."""
+    judged = np.isfinite(error) & np.isfinite(total)
+    if not judged.any():
+        return region
+    beyond = float((np.abs(error) > sigmas * total)[judged].mean())
+    rms = float(np.sqrt(np.mean(total[judged] ** 2)))
+    return replace(region, total_outlier_fraction=beyond, total_sd_mm=rms)
 
 
 def _name(truth: Truth) -> str:

@@ -265,6 +265,12 @@ def decode_stack(
         float,
         typer.Option(help="Largest distance of a predicted order from a whole number, periods."),
     ] = 0.25,
+    uncertainty: Annotated[
+        str,
+        typer.Option(
+            help="sensor; by-cause: look for mixed pixels and indirect light too, and reject what they spoil."
+        ),
+    ] = "sensor",
     progress: ShowProgress = Mode.AUTO,
     as_json: AsJson = False,
 ) -> None:
@@ -293,6 +299,7 @@ def decode_stack(
             "saturation": saturation,
             "min_modulation_dn": min_modulation_dn,
             "max_order_residual": max_order_residual,
+            "uncertainty": uncertainty,
         }
     )
     with progress_steps(progress).step("decode"):
@@ -349,6 +356,13 @@ def evaluate(
         answer_console().print(feature_table(score))
     if said := describe_regions(score):
         answer_console().print(said, soft_wrap=True)
+    beyond = [
+        f"{label} {region.total_outlier_fraction:.2%}"
+        for label, region in score.regions.items()
+        if region.total_outlier_fraction is not None
+    ]
+    if beyond:
+        answer_console().print(f"beyond 5 sigma of all causes: {', '.join(beyond)}", soft_wrap=True)
 
 
 @app.command(epilog="Example: fringebench chapter -o figures --json")

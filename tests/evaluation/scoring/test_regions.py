@@ -29,6 +29,8 @@ REGION_KEYS = [
     "flagged_fraction",
     "predicted_sd_mm",
     "render_to_sensor_noise",
+    "total_outlier_fraction",
+    "total_sd_mm",
 ]
 # Heights are float32: their rounding, relative.
 ROUNDING = 2.0**-23
@@ -166,6 +168,21 @@ def test_outlier_is_what_its_own_sigma_cannot_explain(truth_of: TruthMaker) -> N
     assert wider.outlier_fraction == pytest.approx(13 / 600)
     fixed = evaluation.score(rec, truth, outlier_mm=0.1).regions["base"]
     assert fixed.outlier_fraction == 0.0
+
+
+def test_sigma_of_all_causes_is_judged_next_to_the_sensors(truth_of: TruthMaker) -> None:
+    height = np.zeros(SHAPE)
+    height[0, :10], height[1, :4] = 0.06, 0.2
+    truth = truth_of(np.zeros(SHAPE))
+    rec = reconstruction(height, sigma=0.01)
+    assert evaluation.score(rec, truth).regions["base"].total_outlier_fraction is None
+    # sqrt(0.03^2 + 0.01^2) = 0.0316: five of it explain 0.06, not 0.2.
+    causes = {"mixed": np.full(SHAPE, 0.03, np.float32), "stray": np.zeros(SHAPE, np.float32)}
+    base = evaluation.score(replace(rec, cause_sigma_mm=causes), truth).regions["base"]
+    assert base.outlier_fraction == pytest.approx(14 / 600)
+    assert base.total_outlier_fraction == pytest.approx(4 / 600)
+    assert base.total_sd_mm == pytest.approx(0.1**0.5 * 0.1)
+    assert base.predicted_sd_mm == pytest.approx(0.01)
 
 
 def test_outliers_below_the_truth_count_like_those_above(truth_of: TruthMaker) -> None:

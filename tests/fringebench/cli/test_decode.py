@@ -25,11 +25,16 @@ def stacks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("stacks")
 def test_every_choice_is_used_and_reported(call: Call) -> None:
-    words = "--axis row --anchor volume --saturation ignore --min-modulation-dn 5 --max-order-residual 0.1"
+    words = "--axis row --anchor volume --saturation ignore --min-modulation-dn 5 --max-order-residual 0.1 --uncertainty by-cause"
     status, out, err = call("decode", "both.exr", *words.split(), "--json")
     assert status == 0, err
     settings = json.loads(out)["settings"]
-    asked = {"anchor": "volume", "saturation": "ignore", "min_modulation_dn": 5.0}
+    asked = {
+        "anchor": "volume",
+        "saturation": "ignore",
+        "min_modulation_dn": 5.0,
+        "uncertainty": "by-cause",
+    }
     assert asked.items() <= settings.items() and settings["max_order_residual"] == 0.1
     resolved = settings["resolved"]
     assert (resolved["axis"], resolved["order"]) == ("row", "absolute")
@@ -43,6 +48,7 @@ def test_every_choice_is_used_and_reported(call: Call) -> None:
         ("--axis", "columns", "did you mean 'column'"),
         ("--saturation", "rejects", "did you mean 'reject'"),
         ("--max-order-residual", "0.9", "at most 0.5"),
+        ("--uncertainty", "by-causes", "did you mean 'by-cause'"),
     ],
 )
 def test_impossible_choice_is_refused(call: Call, option: str, value: str, said: str) -> None:

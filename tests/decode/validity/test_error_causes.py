@@ -1,0 +1,176 @@
+"""Mixed pixels and indirect light: what the total sigma covers, what is rejected, and what is left alone."""
+
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import decode
+from decode.validity.error_causes import across_projectors
+from scenes.acquisition.patterns import PhaseShift
+from scenes.files.stack import Stack
+from scenes.support.errors import DecodeError, FringebenchWarning
+from tests.decode.synthetic import Map, calibrated_stack, rig
+
+SIZE = (96, 72)
+SHOWN = PhaseShift(periods_px=(16.0, 80.0, 400.0))
+PATCH = np.s_[20:52, 30:66]
+INSIDE = np.s_[23:49, 33:63]
+
+
+def stack(
+    height_mm: Map | float = 0.0, modulation: Callable[[float], Map | float] = lambda _: 80.0
+) -> Stack:
+    """Frames of a telecentric rig with noise of 1 DN; `modulation` in DN by period."""
+    heights = np.broadcast_to(np.asarray(height_mm, float), SIZE[::-1])
+    made = [
+        calibrated_stack(
+            rig(size=SIZE),
+            heights,
+            PhaseShift(periods_px=(period,)),
+            sigma_dn=1.0,
+            modulation=modulation(period),
+            rng=np.random.default_rng(int(period)),
+        )
+        for period in SHOWN.periods_px
+    ]
+    frames = np.concatenate([part.frames for part in made], axis=1)
+    return replace(made[0], frames=frames, patterns=SHOWN.frames())
+
+
+def patch_loss(by_period: Callable[[float], float]) -> Callable[[float], Map]:
+    """Modulation in DN of a surface whose patch loses a share of it."""
+
+    def modulation(period_px: float) -> Map:
+        dn = np.full(SIZE[::-1], 80.0)
+        dn[PATCH] *= 1.0 - by_period(period_px)
+        return dn
+
+    return modulation
+
+
+def by_cause(made: Stack) -> decode.Reconstruction:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FringebenchWarning)
+        return decode.reconstruct(made, uncertainty="by-cause")
+
+
+def test_a_clean_surface_keeps_the_sensors_sigma() -> None:
+    y, x = np.mgrid[: SIZE[1], : SIZE[0]]
+    # A slope of 7 degrees and a dome of 10 more: neither is a step.
+    slope = 0.02 * x + 0.5 * np.exp(-((x - 48) ** 2 + (y - 36) ** 2) / 400.0)
+    for surface in (np.zeros_like(slope), slope):
+        rec = by_cause(stack(surface))
+        assert rec.valid.all()
+        inflated = rec.total_sigma_mm > 1.03 * rec.sigma_mm
+        # By chance 0.5 % deviate, and 0.02 % inflate their eight neighbours.
+        assert inflated.mean() < 0.02
+
+
+def test_heights_and_the_sensors_sigma_are_the_same_with_and_without_causes() -> None:
+    made = stack()
+    with_causes, without = by_cause(made), decode.reconstruct(made)
+    assert np.array_equal(with_causes.height_mm, without.height_mm)
+    assert np.array_equal(with_causes.sigma_mm, without.sigma_mm)
+    assert np.array_equal(without.total_sigma_mm, without.sigma_mm)
+    assert not without.cause_sigma_mm
+
+
+@pytest.mark.parametrize("step_mm", [0.05, 0.2, 1.0])
+def test_pixels_that_see_both_sides_of_a_step_are_rejected_or_covered(step_mm: float) -> None:
+    low, high = stack(0.0), stack(step_mm)
+    seen = np.broadcast_to(np.arange(SIZE[0]) > 48, SIZE[::-1]).astype(float)
+    rows = np.arange(SIZE[1])
+    seen[:, 48] = (rows + 0.5) / SIZE[1]  # A slanted edge: every share of both heights.
+    made = replace(low, frames=(low.frames * (1 - seen) + high.frames * seen).astype(np.float32))
+    truth = np.where(seen >= 0.5, step_mm, 0.0)
+    rec = by_cause(made)
+    error = np.abs(rec.height_mm - truth)
+    beyond = rec.valid & (error > 5.0 * rec.total_sigma_mm)
+    assert beyond.sum() == 0
+    # The edge is one column, and its neighbours on both sides may go with it.
+    rejected = rec.reason == decode.Reason.MIXED
+    assert rejected[:, :46].sum() + rejected[:, 52:].sum() <= 1
+    sensor = decode.reconstruct(made)
+    assert (np.abs(sensor.height_mm - truth) > 5.0 * sensor.sigma_mm)[:, 48].mean() > 0.1
+
+
+def test_indirect_light_widens_sigma_by_the_modulation_it_takes() -> None:
+    # Light that spreads loses modulation in proportion to frequency: 1, 1/5 and 1/25 of the finest's loss.
+    rec = by_cause(stack(modulation=patch_loss(lambda period: 0.25 * 16.0 / period)))
+    stray = rec.cause_sigma_mm["stray"]
+    outside = np.ones(SIZE[::-1], bool)
+    outside[PATCH] = False
+    assert (stray[INSIDE] > 3.0 * rec.sigma_mm[INSIDE]).mean() > 0.95
+    assert (stray[outside] > 0.25 * rec.sigma_mm[outside]).mean() < 0.03
+    assert rec.valid[INSIDE].all()
+
+
+def test_a_third_of_the_modulation_lost_is_stray_and_the_stack_is_in_doubt() -> None:
+    made = stack(modulation=patch_loss(lambda period: 0.5 * 16.0 / period))
+    with pytest.warns(FringebenchWarning, match="lose more than a quarter of their modulation"):
+        rec = decode.reconstruct(made, uncertainty="by-cause")
+    assert (rec.reason[INSIDE] == decode.Reason.STRAY).mean() > 0.98
+    assert rec.reason_fractions()["stray"] < 1.2 * (32 * 36) / (96 * 72)
+
+
+def test_blur_takes_modulation_and_moves_no_phase() -> None:
+    # A Gaussian's loss grows with frequency squared: 1/25 of the finest's from 80 px.
+    blurred = stack(modulation=patch_loss(lambda period: 1.0 - 0.6 ** ((16.0 / period) ** 2)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        rec = decode.reconstruct(blurred, uncertainty="by-cause")
+    assert rec.valid.all()
+    assert not rec.cause_sigma_mm["stray"].any()
+
+
+def test_a_rough_surface_is_measured_with_the_sigma_of_its_roughness() -> None:
+    rough = np.zeros(SIZE[::-1])
+    noise = np.random.default_rng(0).normal(0.0, 0.05, rough[PATCH].shape)
+    rough[PATCH] = noise
+    rec = by_cause(stack(rough))
+    # Heights that scatter by ten sensor sigmas around the plane are what a region's errors look like.
+    assert rec.valid[INSIDE].mean() > 0.9
+    assert (np.abs(rec.height_mm) > 5.0 * rec.sigma_mm)[INSIDE].mean() > 0.3
+    assert (np.abs(rec.height_mm) > 5.0 * rec.total_sigma_mm)[INSIDE].mean() < 0.01
+
+
+def test_projectors_that_disagree_widen_sigma() -> None:
+    rec = by_cause(stack())
+    second = np.indices(rec.reason.shape).sum(axis=0) % 5 == 0
+    offset = np.where(second, 12.0 * rec.sigma_mm, 0.0).astype(np.float32)
+    joined = across_projectors(replace(rec, height_mm=rec.height_mm + offset))
+    error = np.abs(joined.height_mm)
+    assert (error > 5.0 * joined.sigma_mm)[second].all()
+    # Five sigma of noise on top of the offset: 1 pixel in 3 million.
+    assert (error > 5.0 * joined.total_sigma_mm)[second].sum() == 0
+
+
+def test_one_period_is_judged_by_its_own_visibility() -> None:
+    shown = PhaseShift(periods_px=(400.0,))
+    dn = np.full(SIZE[::-1], 80.0)
+    dn[PATCH] = 40.0
+    flat = np.zeros(SIZE[::-1])
+    made = calibrated_stack(rig(size=SIZE), flat, shown, sigma_dn=1.0, modulation=dn)
+    rec = by_cause(made)
+    assert (rec.reason[INSIDE] == decode.Reason.STRAY).mean() > 0.98
+
+
+def test_causes_are_in_the_file_and_end_with_the_region(tmp_path: Path) -> None:
+    made = stack(modulation=patch_loss(lambda period: 0.25 * 16.0 / period))
+    rec = by_cause(made)
+    rec.write(tmp_path / "rec.exr")
+    back = decode.Reconstruction.read(tmp_path / "rec.exr")
+    assert back.cause_sigma_mm.keys() == {"mixed", "stray"}
+    assert np.array_equal(back.total_sigma_mm, rec.total_sigma_mm)
+    part = decode.reconstruct(made, uncertainty="by-cause", roi=(10, 60, 20, 70))
+    assert np.array_equal(part.total_sigma_mm[10:60, 20:70], rec.total_sigma_mm[10:60, 20:70])
+    assert np.isnan(part.total_sigma_mm[:10]).all()
+
+
+def test_phases_alone_have_no_causes() -> None:
+    with pytest.raises(DecodeError, match=r"by-cause.*height is .phase."):
+        decode.reconstruct(stack(), uncertainty="by-cause", height="phase")
