@@ -16,12 +16,14 @@ from render.fringe_phasor import white_weights
 from render.light_noise import height_noise_mm
 from render.pathtracer.one_pass import trace
 from render.plugins.scene_translation import geometry
+from render.plugins.shading_normals import vertex_normals
 from render.plugins.shared_surfaces import Surfaces, shared
 from render.plugins.variant import mi, use
 from render.transport import Transport
 from scenes.acquisition.patterns import PhaseShift
 from scenes.files.truth_maps import Truth
 from scenes.rig.projection import Projection
+from scenes.rig.projectors import Screen
 from scenes.scene import Scene
 from scenes.scene_files import dumps
 from scenes.scene_meshes import Part
@@ -72,7 +74,8 @@ def truth(
     -----
     A camera or projector with a lens is represented by the centre of its pupil. `lit` is true if a point is inside the
     projector's image, the side seen by the camera faces the projector, and no triangle is between. Normals are those of
-    the triangles, also where shading is smooth.
+    the triangles, also where shading is smooth; in a scene with a screen those of the shading, which mirror. There, `lit`
+    and the projector's pixel are those that the camera's ray meets if the surface mirrors it, whatever the material.
 
     `direct_fraction` is a mean over the pixel's area, not its value at the centre, and is as noisy as the light it
     comes from. The transport of a projector with gamma or quantised values has no white channel; the nearest
@@ -96,22 +99,16 @@ def truth(
         )
     surface = _Surface.of(scene, surfaces.parts)
     camera = scene.camera.projection()
-    projectors = [projector.projection() for projector in scene.projectors]
     with room_for(
-        (60 + 29 * len(projectors)) * camera.width * camera.height,
+        (60 + 29 * len(scene.projectors)) * camera.width * camera.height,
         f"the truth of {camera.width} x {camera.height} pixels",
         "lower camera.resolution",
     ):
-        return _truth(scene, surface, camera, projectors, transport)
+        return _truth(scene, surface, camera, transport)
 
 
-def _truth(
-    scene: Scene,
-    surface: "_Surface",
-    camera: Projection,
-    projectors: Sequence[Projection],
-    transport: Transport,
-) -> Truth:
+def _truth(scene: Scene, surface: "_Surface", camera: Projection, transport: Transport) -> Truth:
+    projectors = scene.projectors
     pixels = camera.pixel_centres().reshape(-1, 2)
     count, shape = len(pixels), (camera.height, camera.width)
 
@@ -128,9 +125,19 @@ def _truth(
         hit = np.flatnonzero(triangle >= 0)
         triangle, at = triangle[hit], start + hit
         point, facing = surface.meet(triangle, origin[hit], direction[hit])
+        plane = facing
+        if scene.screens:
+            facing = surface.shaded(triangle, point, facing)
         xyz[at], normal[at], label[at] = point, facing, surface.label[triangle]
         pad[at], material[at] = surface.pad[triangle], surface.material[triangle]
-        for p, projection in enumerate(projectors):
+        for p, projector in enumerate(projectors):
+            projection = projector.projection()
+            if isinstance(projector, Screen):
+                target = _mirrored(point, direction[hit], facing, projection)
+                where = projection.project(target)[0]
+                lit[p, at] = surface.reached(point, plane, target, where, projection)
+                image[:, p, at] = where.T
+                continue
             where, _ = projection.project(point)
             image[:, p, at] = where.T
             # Where the pixel's ray is a little higher.
@@ -153,8 +160,18 @@ def _truth(
         pad.reshape(shape) if scene.board else None,
         material.reshape(shape),
         surface.materials,
-        height_noise_mm(transport, px_per_mm.reshape(2, -1, *shape)),
+        None if scene.screens else height_noise_mm(transport, px_per_mm.reshape(2, -1, *shape)),
     )
+
+
+def _mirrored(point: Points, direction: Points, normal: Points, screen: Projection) -> Points:
+    """Where rays mirrored at points meet the screen's plane, world mm; NaN behind it, or if they leave it."""
+    away = direction - 2.0 * (direction * normal).sum(axis=-1, keepdims=True) * normal
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = ((screen.origin_mm - point) @ screen.axis) / (away @ screen.axis)
+        # From its front alone.
+        seen = (distance > 0) & (away @ screen.axis < 0)
+        return np.asarray(point + np.where(seen, distance, np.nan)[:, None] * away)
 
 
 @dataclass(frozen=True)
@@ -168,6 +185,8 @@ class _Surface:
     pad: NDArray[np.uint32]
     material: NDArray[np.uint16]
     materials: tuple[str, ...]
+    normals: Points
+    """(triangle, 3, 3) normals at the corners, with which Mitsuba shades."""
     centre: Points
     radius: float
     """Bounding-sphere radius, mm."""
@@ -191,6 +210,7 @@ class _Surface:
             [part.mesh.faces + n for part, n in zip(surfaces, first, strict=False)]
         )
         corners = vertices[faces]
+        normals = np.concatenate([_corner_normals(part) for part in surfaces])
         low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
         centre = (low + high) / 2
         mesh = trimesh.Trimesh(vertices - centre, faces, process=False)
@@ -201,6 +221,7 @@ class _Surface:
             np.concatenate(pads),
             np.repeat(made_of, counts).astype(np.uint16),
             materials,
+            normals,
             centre,
             float(np.linalg.norm(high - low)) / 2,
             mi.load_dict(geometry([whole])),
@@ -229,6 +250,18 @@ class _Surface:
         distance = (normal * (a - origin)).sum(axis=-1, keepdims=True) / slope
         return origin + distance * direction, np.where(slope > 0, -normal, normal)
 
+    def shaded(self, triangle: NDArray[np.int64], point: Points, facing: Points) -> Points:
+        """Unit normals with which points of triangles are shaded, on the side of `facing`."""
+        a, b, c = np.moveaxis(self.corners[triangle], 1, 0)
+        area = np.cross(b - a, c - a)
+        square = (area * area).sum(axis=-1)
+        v = (np.cross(point - a, c - a) * area).sum(axis=-1) / square
+        w = (np.cross(b - a, point - a) * area).sum(axis=-1) / square
+        shares = np.stack([1.0 - v - w, v, w], axis=-1)
+        normal = np.einsum("ni,nij->nj", shares, self.normals[triangle])
+        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+        return np.where((normal * facing).sum(axis=-1, keepdims=True) < 0, -normal, normal)
+
     def lit(
         self, point: Points, normal: Points, pixel: Points, projector: Projection
     ) -> NDArray[np.bool_]:
@@ -241,7 +274,22 @@ class _Surface:
             towards = projector.origin_mm - point
         with np.errstate(invalid="ignore"):
             inside = ((pixel >= 0) & (pixel < (projector.width, projector.height))).all(axis=-1)
-        reached: NDArray[np.bool_] = inside & (depth > 0) & ((normal * towards).sum(axis=-1) > 0)
+        return self._free(point, normal, towards, inside & (depth > 0))
+
+    def reached(
+        self, point: Points, normal: Points, target: Points, pixel: Points, screen: Projection
+    ) -> NDArray[np.bool_]:
+        """Whether mirrored rays that meet the screen's plane at `target` meet its pixels, and nothing before."""
+        with np.errstate(invalid="ignore"):
+            inside = ((pixel >= 0) & (pixel < (screen.width, screen.height))).all(axis=-1)
+        return self._free(point, normal, target - point, inside)
+
+    def _free(
+        self, point: Points, normal: Points, towards: Points, wanted: NDArray[np.bool_]
+    ) -> NDArray[np.bool_]:
+        """Which of the wanted points see along `towards`, up to its end, on the side of their normals."""
+        with np.errstate(invalid="ignore"):
+            reached: NDArray[np.bool_] = wanted & ((normal * towards).sum(axis=-1) > 0)
         if not reached.any():
             # Mitsuba aborts the process if it gets no rays at all.
             return reached
@@ -259,6 +307,15 @@ class _Surface:
 
     def _local(self, point: Points) -> Any:
         return _vector(point - self.centre)
+
+
+def _corner_normals(part: Part) -> Points:
+    """(triangle, corner, 3): vertex normals of a smooth part, else the triangles' own."""
+    vertices, faces = np.asarray(part.mesh.vertices), np.asarray(part.mesh.faces)
+    if part.smooth:
+        return vertex_normals(vertices, faces)[faces]
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    return np.repeat(np.cross(b - a, c - a)[:, None], 3, axis=1)
 
 
 def _vector(array: Points) -> Any:

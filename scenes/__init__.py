@@ -73,7 +73,7 @@ from scenes.rig.devices import (
 )
 from scenes.rig.illumination_map import IlluminationMap
 from scenes.rig.projection import Projection
-from scenes.rig.projectors import PinholeProjector, TelecentricProjector
+from scenes.rig.projectors import PinholeProjector, Screen, TelecentricProjector
 from scenes.scene import Ambient, AutoExposure, Exposures, Object, Sampling, Scene
 from scenes.scene_files import dumps, load, parse, save, schema, shipped, source
 from scenes.scene_meshes import Part, meshes, parts
@@ -112,7 +112,7 @@ __all__ = [
     "GrayBits", "GrayCode", "Hole", "IlluminationMap", "ImpossibleError", "LogNormal", "LookAt", "MeshError",
     "MeshFile", "ModulatedPhaseShift", "Normal", "Object", "PadTruth", "ParametricBoard", "Part", "PatternSeries", "PhaseShift", "Pinhole",
     "PinholeLens", "PinholeProjector", "Plate", "Projection", "RenderError", "Sampling", "Scene",
-    "SceneError", "ScoreError", "Sensor", "SimpleSensor", "Stack", "Telecentric", "TelecentricLens",
+    "SceneError", "ScoreError", "Screen", "Sensor", "SimpleSensor", "Stack", "Telecentric", "TelecentricLens",
     "TelecentricProjector", "Tiles", "TooLargeError", "TruncatedNormal", "Truth", "UnevenSteps", "Uniform",
     "basis", "board_truth", "coco", "dumps", "gerber", "load", "meshes", "parse", "parts",
     "realise", "save", "schema", "shipped", "source",

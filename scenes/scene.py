@@ -12,7 +12,7 @@ from scenes.acquisition.sensor import Sensor, SimpleSensor
 from scenes.board.board import Board
 from scenes.rig.calibration import Calibration
 from scenes.rig.devices import Vector
-from scenes.rig.projectors import Camera, Projector
+from scenes.rig.projectors import Camera, Projector, Screen, require_one_kind
 from scenes.shapes.materials import LIBRARY, Material
 from scenes.shapes.solids import Shape
 from scenes.support.distribution import Distribution
@@ -145,7 +145,7 @@ class Scene(Frozen):
     camera: Camera
     """The camera that takes the frames."""
     projectors: Annotated[tuple[Projector, ...], Field(min_length=1, max_length=16)]
-    """Each shows all patterns, one projector after the other."""
+    """Each shows all patterns, one projector after the other; or one or two positions of a screen."""
     objects: tuple[Object, ...] = ()
     """Meshes and simple shapes, placed; a scene has these, a board, or both."""
     board: Board | None = None
@@ -199,11 +199,20 @@ class Scene(Frozen):
             raise ValueError(
                 f"exposures.auto.label '{auto.label}' is not an object's label: use one of {list(self.labels)}"
             )
+        require_one_kind(self.projectors)
         for index, projector in enumerate(self.projectors):
             self._check_rig(index, projector)
         return self
 
     def _check_rig(self, index: int, projector: Projector) -> None:
+        if isinstance(projector, Screen):
+            missing = {"column", "row"} - {frame.axis for frame in self.patterns.frames()}
+            if missing:
+                raise ValueError(
+                    f"patterns have no {missing.pop()} fringes: a screen needs both, patterns.axes = ['column', 'row'], as a "
+                    "slope has two components"
+                )
+            return
         camera, light = self.camera.projection(), projector.projection()
         parallel = np.linalg.norm(np.cross(camera.axis, light.axis)) < 1e-6
         together = np.linalg.norm(camera.origin_mm - light.origin_mm) < 1e-6
@@ -213,6 +222,11 @@ class Scene(Frozen):
                 f"camera and projector {index} see along the same rays, so no height can be measured: "
                 "move or tilt one of them"
             )
+
+    @property
+    def screens(self) -> tuple[Screen, ...]:
+        """The screen's positions; empty for projectors."""
+        return self.calibration().screens
 
     @property
     def labels(self) -> tuple[str, ...]:

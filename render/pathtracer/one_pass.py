@@ -12,7 +12,7 @@ from render.pathtracer.path_kernel import Pass
 from render.pathtracer.pixel_centres import label_map
 from render.pathtracer.tile_survey import Tiles, survey
 from render.plugins.lens import optics
-from render.plugins.projector_light import Light
+from render.plugins.screen_light import light_of
 from render.plugins.shared_surfaces import Surfaces, shared
 from render.plugins.variant import dr, mi, use
 from render.transport import Transport
@@ -148,7 +148,7 @@ def set_up(
 ) -> Pass:
     """Everything a kernel reads, after a look around from every tile."""
     camera = optics(scene.camera)
-    lights = [Light(p, optics(p), b.channels) for p, b in zip(scene.projectors, bases, strict=True)]
+    lights = [light_of(p, b.channels) for p, b in zip(scene.projectors, bases, strict=True)]
     glow = scene.ambient.radiance_w_m2_sr
     sky = dr.opaque(mi.Float, glow) if glow > 0 else None
     return Pass(

@@ -6,7 +6,7 @@ vertex looks to each projector (a delta light: nothing else can find it). Paths 
 directions that `render.pathtracer.guide` has learnt, later ones by their BSDF.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from render.pathtracer import sampling
 from render.pathtracer.guide import AIMED, GROUP, Guide, axes
 from render.plugins.lens import Optics
-from render.plugins.projector_light import Light
+from render.plugins.screen_light import Lights
 from render.plugins.variant import dr, mi
 
 # Of the samples of smooth direct light: places lie opposite in pairs, few of them hold its phase.
@@ -24,6 +24,9 @@ FEW_PLACES_OF, FEWEST_PLACES = 4, 4
 # Deeper paths than this are not cut: from vertex ROULETTE_FROM on they go on by chance, and count for more
 # if they do (Russian roulette: Arvo and Kirk 1990, "Particle transport and image synthesis"). At most this share goes on.
 DEEPEST_CUT, ROULETTE_FROM, SURVIVES = 8, 3, 0.5
+
+# From one of a light's pairs of dimensions to its next: a screen needs three, which no other use of a path reaches.
+FURTHER = 1 << 16
 
 Draw = Callable[[Any], Any]
 """A pair of random numbers, Point2f, of the current sample, by its number of pair of dimensions."""
@@ -54,7 +57,7 @@ class Pass:
 
     scene: Any
     camera: Optics
-    lights: Sequence[Light]
+    lights: Lights
     ambient: Any
     """Radiance, or None."""
     depth: int
@@ -275,17 +278,18 @@ class Pass:
 
     def _gains(self, si: Any, weight: Any, draw: Draw, dimension: Any, active: Any) -> list[Any]:
         """What every projector's channels add at a vertex."""
-        bsdf, context = si.bsdf(), mi.BSDFContext()
         gains: list[Any] = []
         for p, light in enumerate(self.lights):
-            pupil = None if light.optics.lens is None else draw(dimension + p)
-            source, irradiance, pixel, lit = light.connect(si.p, pupil)
-            lit &= active
-            value = bsdf.eval(context, si, si.to_local(dr.normalize(source - si.p)), lit)
-            lit &= value.x > 0
-            lit &= ~self.scene.ray_test(si.spawn_ray_to(source), lit)
-            radiance = dr.select(lit, weight * value.x * irradiance, 0)
-            gains += [radiance * v for v in light.channel_values(pixel, lit)]
+
+            def own(number: int, first: Any = dimension + p) -> Any:
+                return draw(first + number * FURTHER)
+
+            found = light.arrive(self.scene, si, own, active, weight)
+            each = [
+                [radiance * v for v in light.channel_values(pixel, lit)]
+                for radiance, pixel, lit in found
+            ]
+            gains += [sum(values[1:], values[0]) for values in zip(*each, strict=True)]
         return gains
 
     def _intersect(self, ray: Any, coherent: bool, active: Any) -> Any:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from render.plugins.lens import Optics
-from render.plugins.projector_light import Light
+from render.plugins.screen_light import Lights
 from render.plugins.variant import dr, mi
 
 # The middle of the square is the middle of the pupil: the chief ray.
@@ -28,19 +28,15 @@ def label_map(
     return label
 
 
-def lit(
-    mi_scene: Any, camera: Optics, lights: Sequence[Light], shape: tuple[int, int]
-) -> NDArray[np.bool_]:
+def lit(mi_scene: Any, camera: Optics, lights: Lights, shape: tuple[int, int]) -> NDArray[np.bool_]:
     """Whether a projector's light reaches the camera from each pixel's centre, (row, col)."""
     si = mi_scene.ray_intersect(_rays(camera, shape), mi.RayFlags.All, True)
     found = np.zeros(shape, np.bool_)
     for light in lights:
-        source, _, _, reached = light.connect(si.p, mi.Point2f(MIDDLE))
-        reached &= si.is_valid()
-        wo = si.to_local(dr.normalize(source - si.p))
-        reached &= si.bsdf().eval(mi.BSDFContext(), si, wo, reached).x > 0
-        reached &= ~mi_scene.ray_test(si.spawn_ray_to(source), reached)
-        found |= reached.numpy().reshape(shape)
+        for radiance, _, _ in light.arrive(
+            mi_scene, si, lambda _: mi.Point2f(MIDDLE), si.is_valid()
+        ):
+            found |= (radiance > 0).numpy().reshape(shape)
     return found
 
 

@@ -4,7 +4,6 @@ Every tile of the image looks once into every cell of the hemisphere, from a few
 sees: the BSDF towards the cell, times the projectors' light that a surface there sends back.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,7 +23,8 @@ from render.pathtracer.guide import (
     direction,
 )
 from render.plugins.lens import Optics
-from render.plugins.projector_light import Light
+from render.plugins.projector_light import Draw
+from render.plugins.screen_light import Lights
 from render.plugins.variant import dr, mi
 
 # A tile's side in pixels is this over the root of the samples: looking then costs a like share of any pass. In small
@@ -106,13 +106,7 @@ class _Seen:
 
 
 def survey(
-    scene: Any,
-    camera: Optics,
-    lights: Sequence[Light],
-    tiles: Tiles,
-    seed: int,
-    depth: int,
-    sky: Any,
+    scene: Any, camera: Optics, lights: Lights, tiles: Tiles, seed: int, depth: int, sky: Any
 ) -> Guide:
     """Look around from every tile and learn; `sky` is the ambient radiance or None."""
     # Streams of their own: what is learnt must not depend on the paths it will guide.
@@ -162,21 +156,21 @@ def survey(
     )
 
 
-def _points(
-    scene: Any, camera: Optics, lights: Sequence[Light], tiles: Tiles, seed: int
-) -> tuple[Any, Any]:
+def _points(scene: Any, camera: Optics, lights: Lights, tiles: Tiles, seed: int) -> tuple[Any, Any]:
     """Surface points that tiles see, (tile, point) in one axis, and their direct light."""
     lane = dr.arange(mi.UInt32, tiles.count * POINTS)
     tile = lane // POINTS
     key = sampling.stream(seed, tile)
-    inside, pupil, other = (
-        sampling.point(key, mi.UInt32(d), lane - tile * POINTS) for d in range(3)
-    )
+
+    def draw(number: int) -> Any:
+        return sampling.point(key, mi.UInt32(number), lane - tile * POINTS)
+
+    inside, pupil = draw(0), draw(1)
     row = tile // tiles.columns
     place = (mi.Point2f(tile - row * tiles.columns, row) + inside) * tiles.side
     place = dr.minimum(place, mi.Point2f(tiles.width, tiles.height) - 1e-3)
     eye = scene.ray_intersect(mi.Ray3f(*camera.ray(place, pupil)), mi.RayFlags.All, True)
-    direct = _lit(scene, lights, eye, other, eye.is_valid())
+    direct = _lit(scene, lights, eye, lambda n: draw(2 + n), eye.is_valid())
     dr.eval(eye, direct)
     return eye, direct
 
@@ -212,7 +206,7 @@ def _bordered(tiles: Tiles, mean: Floats, part: NDArray[np.uint32]) -> NDArray[n
 
 
 def _looks(
-    scene: Any, lights: Sequence[Light], tiles: Tiles, eye: Any, seed: int, depth: int, sky: Any
+    scene: Any, lights: Lights, tiles: Tiles, eye: Any, seed: int, depth: int, sky: Any
 ) -> _Seen:
     lane = dr.arange(mi.UInt32, tiles.count * CELLS)
     tile = lane // CELLS
@@ -221,13 +215,17 @@ def _looks(
     point = (cell + cell // COLUMNS * 7) % POINTS
     eye = dr.gather(mi.SurfaceInteraction3f, eye, tile * POINTS + point)
     key = sampling.stream(seed, lane)
-    inside, other = (sampling.point(key, mi.UInt32(d), mi.UInt32(0)) for d in range(2))
+
+    def draw(number: int) -> Any:
+        return sampling.point(key, mi.UInt32(number), mi.UInt32(0))
+
+    inside = draw(0)
     way = axes(eye).to_world(direction(cell, inside))
     value, likely = eye.bsdf().eval_pdf(mi.BSDFContext(), eye, eye.to_local(way), eye.is_valid())
     active = eye.is_valid() & (value.x > 0)
     seen = scene.ray_intersect(eye.spawn_ray(way), mi.RayFlags.All, False, active)
     met = active & seen.is_valid()
-    back = mi.Float(0) if depth == 1 else _lit(scene, lights, seen, other, met)
+    back = mi.Float(0) if depth == 1 else _lit(scene, lights, seen, lambda n: draw(1 + n), met)
     if sky is None:
         active = met
     else:
@@ -239,18 +237,10 @@ def _looks(
     return _Seen(next(found), next(found), _relative(next(found)))
 
 
-def _lit(scene: Any, lights: Sequence[Light], si: Any, pupil: Any, active: Any) -> Any:
+def _lit(scene: Any, lights: Lights, si: Any, draw: Draw, active: Any) -> Any:
     """White light of all projectors that a surface sends back to where the ray came from, once scattered."""
-    radiance = mi.Float(0)
-    for light in lights:
-        source, irradiance, _, lit = light.connect(si.p, pupil)
-        lit &= active
-        wo = si.to_local(dr.normalize(source - si.p))
-        value = si.bsdf().eval(mi.BSDFContext(), si, wo, lit).x
-        lit &= value > 0
-        lit &= ~scene.ray_test(si.spawn_ray_to(source), lit)
-        radiance += dr.select(lit, value * irradiance, 0)
-    return radiance
+    found = [light.arrive(scene, si, draw, active) for light in lights]
+    return sum((radiance for each in found for radiance, _, _ in each), mi.Float(0))
 
 
 def _sent(seen: _Seen) -> NDArray[np.float64]:

@@ -13,12 +13,14 @@ from render.plugins.lens import optics
 from render.plugins.projector_light import Light
 from render.plugins.variant import dr, mi
 from scenes.acquisition.pattern_basis import Basis, Channel
-from scenes.rig.projectors import Projector
+from scenes.rig.projectors import PinholeProjector, TelecentricProjector
 
 PLUGIN = "fringe_projector"
 
 
-def projector_plugin(projector: Projector, basis: Basis, frame: int) -> dict[str, Any]:
+def projector_plugin(
+    projector: TelecentricProjector | PinholeProjector, basis: Basis, frame: int
+) -> dict[str, Any]:
     """Mitsuba's dictionary entry of a projector showing one of its frames."""
     register(mi.variant())
     return {
@@ -42,7 +44,9 @@ def register(variant: str) -> None:
 
         def __init__(self, props: Any) -> None:
             super().__init__(props)
-            device = TypeAdapter(Projector).validate_json(props["device"])
+            device = TypeAdapter(TelecentricProjector | PinholeProjector).validate_json(
+                props["device"]
+            )
             channels = [Channel(**channel) for channel in json.loads(props["channels"])]
             self.light = Light(device, optics(device), channels)
             self.weights = weights(json.loads(props["weights"]))

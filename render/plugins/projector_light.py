@@ -1,6 +1,6 @@
 """Light of a projector at a point: irradiance of white, and the values of the pattern's basis channels."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,30 +9,24 @@ from render.plugins.lens import Optics
 from render.plugins.variant import dr, mi
 from scenes.acquisition.pattern_basis import Channel
 from scenes.acquisition.projector_pixels import across
-from scenes.rig.projectors import PinholeProjector, Projector
+from scenes.rig.projectors import PinholeProjector, Projector, TelecentricProjector
+
+Draw = Callable[[int], Any]
+"""Independent pairs of random numbers, Point2f, by number."""
 
 
-class Light:
-    """A projector's light for the variant in use.
+class Patterned:
+    """What a projector or a screen shows: the values of its basis channels at its pixels."""
 
-    On a plane perpendicular to the axis the irradiance of white is ``E0 (reference / z)^2`` (pinhole) or ``E0``
-    (telecentric), uniform across the plane. Cosine and sine of one fringe come from one `sincos`.
-    """
-
-    def __init__(self, projector: Projector, optics: Optics, channels: Sequence[Channel]) -> None:
-        self.optics = optics
-        polynomials = not projector.polynomials_even
-        self.vignetting = projector.smooth_illumination if polynomials else None
+    def __init__(self, device: Projector, channels: Sequence[Channel]) -> None:
+        polynomials = not device.polynomials_even
+        self.vignetting = device.smooth_illumination if polynomials else None
         self.map = None
-        if projector.illumination_map is not None:
-            values = projector.illumination_map.values().astype(np.float32)[..., None]
+        if device.illumination_map is not None:
+            values = device.illumination_map.values().astype(np.float32)[..., None]
             # Texture units of a GPU would interpolate in 256 steps.
             self.map = mi.Texture2f(mi.TensorXf(values), use_accel=False)
-            self.size = projector.resolution
-        strength = projector.irradiance_w_m2
-        if isinstance(projector, PinholeProjector):
-            strength *= projector.reference_mm**2
-        self.strength = dr.opaque(mi.Float, strength)
+        self.resolution = device.resolution
         self.channels = tuple(channels)
         self.periods = {
             (c.axis, c.period_px): dr.opaque(mi.Float, c.period_px)
@@ -43,34 +37,18 @@ class Light:
             mi.Float(np.asarray(c.values, dtype=np.float32)) if c.kind == "table" else None
             for c in channels
         ]
-        comb = across(projector)
+        comb = across(device)
         self.comb = None if comb is None else mi.Float(comb.astype(np.float32))
         dr.eval(self.tables, self.comb)
 
-    def connect(self, point: Any, lens_sample: Any) -> tuple[Any, Any, Any, Any]:
-        """Light that reaches a world point, without regard to shadows.
-
-        Returns the world point it comes from, the irradiance of white in W/m^2 on a surface facing that point, the
-        continuous projector pixel, and whether that pixel exists.
-        """
-        local = self.optics.to_local(point)
-        source = self.optics.light_source(local, lens_sample)
-        irradiance, pixel, lit = self.response(local, source)
-        return self.optics.to_world(source), irradiance, pixel, lit
-
-    def response(self, local: Any, source: Any) -> tuple[Any, Any, Any]:
-        """Irradiance of white, pixel, and whether it exists, for a point and a source in the projector's frame."""
-        pixel, lit = self.optics.pixel(local, source)
-        cosine = local.z / dr.norm(local - source)
-        irradiance = self.strength / cosine
-        if not self.optics.telecentric:
-            irradiance /= dr.square(local.z)
+    def uneven(self, light: Any, pixel: Any) -> Any:
+        """Light of a pixel, dimmed by its place in the image."""
         if self.vignetting is not None:
-            irradiance *= self.vignetting(pixel.x, pixel.y)
+            light = light * self.vignetting(pixel.x, pixel.y)
         if self.map is not None:
-            columns, rows = self.size
-            irradiance *= self.map.eval(mi.Point2f(pixel.x / columns, pixel.y / rows))[0]
-        return irradiance, pixel, lit
+            columns, rows = self.resolution
+            light = light * self.map.eval(mi.Point2f(pixel.x / columns, pixel.y / rows))[0]
+        return light
 
     def channel_values(self, pixel: Any, active: Any) -> list[Any]:
         """Each basis channel's value at a continuous projector pixel."""
@@ -94,6 +72,62 @@ class Light:
             else:
                 values.append(waves[channel.axis, channel.period_px][channel.kind == "cos"])
         return values
+
+
+class Light(Patterned):
+    """A projector's light for the variant in use.
+
+    On a plane perpendicular to the axis the irradiance of white is ``E0 (reference / z)^2`` (pinhole) or ``E0``
+    (telecentric), uniform across the plane. Cosine and sine of one fringe come from one `sincos`.
+    """
+
+    def __init__(
+        self,
+        projector: TelecentricProjector | PinholeProjector,
+        optics: Optics,
+        channels: Sequence[Channel],
+    ) -> None:
+        self.optics = optics
+        strength = projector.irradiance_w_m2
+        if isinstance(projector, PinholeProjector):
+            strength *= projector.reference_mm**2
+        self.strength = dr.opaque(mi.Float, strength)
+        super().__init__(projector, channels)
+
+    def connect(self, point: Any, lens_sample: Any) -> tuple[Any, Any, Any, Any]:
+        """Light that reaches a world point, without regard to shadows.
+
+        Returns the world point it comes from, the irradiance of white in W/m^2 on a surface facing that point, the
+        continuous projector pixel, and whether that pixel exists.
+        """
+        local = self.optics.to_local(point)
+        source = self.optics.light_source(local, lens_sample)
+        irradiance, pixel, lit = self.response(local, source)
+        return self.optics.to_world(source), irradiance, pixel, lit
+
+    def arrive(
+        self, scene: Any, si: Any, draw: Draw, active: Any, weight: Any = 1
+    ) -> list[tuple[Any, Any, Any]]:
+        """Light that a surface sends back to where the ray came from, per ray that was tried: radiance of white times
+        `weight`, 0 in shadow, the pixel that it comes from, and whether there is any.
+        """
+        pupil = None if self.optics.lens is None else draw(0)
+        source, irradiance, pixel, lit = self.connect(si.p, pupil)
+        lit &= active
+        wo = si.to_local(dr.normalize(source - si.p))
+        value = si.bsdf().eval(mi.BSDFContext(), si, wo, lit).x
+        lit &= value > 0
+        lit &= ~scene.ray_test(si.spawn_ray_to(source), lit)
+        return [(dr.select(lit, weight * value * irradiance, 0), pixel, lit)]
+
+    def response(self, local: Any, source: Any) -> tuple[Any, Any, Any]:
+        """Irradiance of white, pixel, and whether it exists, for a point and a source in the projector's frame."""
+        pixel, lit = self.optics.pixel(local, source)
+        cosine = local.z / dr.norm(local - source)
+        irradiance = self.strength / cosine
+        if not self.optics.telecentric:
+            irradiance /= dr.square(local.z)
+        return self.uneven(irradiance, pixel), pixel, lit
 
 
 def _read(table: Any, pixel: Any, cells: int, active: Any, wrap: bool = False) -> Any:

@@ -8,9 +8,11 @@ import trimesh
 
 from render.plugins.camera_sensor import camera_plugin
 from render.plugins.projector_emitter import projector_plugin
+from render.plugins.screen_light import screen_shape
 from render.plugins.shading_normals import vertex_normals
 from render.plugins.variant import mi, use
 from scenes.acquisition.pattern_basis import basis
+from scenes.rig.projectors import Screen
 from scenes.scene import Scene
 from scenes.scene_meshes import Part, parts
 from scenes.shapes.materials import Conductor, Dielectric, Diffuse, Glossy, Material
@@ -54,8 +56,13 @@ def mitsuba_scene(scene: Scene, frame: int = 0, projector: int = 0) -> Any:
         )
     use()
     light = scene.projectors[projector]
+    emitted = basis(scene.patterns, light, light.resolution)
+    if isinstance(light, Screen):
+        shown = screen_shape(light, emitted, frame)
+    else:
+        shown = projector_plugin(light, emitted, frame)
     entries = geometry(parts(scene)) | {
-        "projector": projector_plugin(light, basis(scene.patterns, light, light.resolution), frame),
+        "projector": shown,
         "sensor": camera_plugin(scene.camera, scene.sampling.samples),
         "integrator": {
             "type": "path",

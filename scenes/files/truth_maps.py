@@ -26,7 +26,7 @@ class Truth(Displayed):
     xyz_mm: Floats
     """(row, col, 3) world point."""
     normal: Floats
-    """(row, col, 3) unit geometric normal, facing the camera."""
+    """(row, col, 3) unit normal, facing the camera: the triangle's; with a screen that of the shading."""
     label: NDArray[np.uint16]
     """(row, col) index into `labels` plus 1; 0: nothing."""
     labels: tuple[str, ...]

@@ -1,10 +1,10 @@
 """What a decoder may know of a rig: its geometry, not the objects."""
 
-from typing import Annotated
+from typing import Annotated, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from scenes.rig.projectors import Camera, Projector
+from scenes.rig.projectors import Camera, Projector, Screen, require_one_kind
 from scenes.support.frozen import Frozen
 
 
@@ -22,3 +22,13 @@ class Calibration(Frozen):
     projectors: Annotated[tuple[Projector, ...], Field(min_length=1)]
     height_range_mm: tuple[float, float]
     """Lowest and highest z of the working volume."""
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        require_one_kind(self.projectors)
+        return self
+
+    @property
+    def screens(self) -> tuple[Screen, ...]:
+        """The screen's positions; empty for projectors."""
+        return tuple(p for p in self.projectors if isinstance(p, Screen))

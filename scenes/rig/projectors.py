@@ -1,20 +1,23 @@
-"""Projectors: geometry plus emission (brightness, contrast, gamma, bit depth, bit planes)."""
+"""Projectors and screens: geometry plus emission (brightness, contrast, gamma, bit depth, bit planes)."""
 
-from typing import Annotated, Self
+from collections.abc import Sequence
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PositiveFloat, model_validator
 
-from scenes.rig.devices import Pinhole, Telecentric
+from scenes.rig.devices import Device, Pinhole, Telecentric
+from scenes.rig.projection import Projection
 from scenes.support.frozen import Frozen
+
+# Two positions closer than this are no second look: directions would be noise.
+MIN_APART_MM = 0.1
 
 
 class Emission(Frozen):
-    """A projector's tone response and brightness."""
+    """A projector's or a screen's tone response."""
 
-    irradiance_w_m2: PositiveFloat = 100.0
-    """Irradiance of white on a plane perpendicular to the axis at `reference_mm` (telecentric: at any depth)."""
     contrast: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
     """Michelson contrast (white - black) / (white + black) of what leaves the projector."""
     gamma: Annotated[float, Field(ge=0.2, le=5.0)] = 1.0
@@ -91,16 +94,84 @@ class Emission(Frozen):
         return self.black + (1.0 - self.black) * commanded**self.gamma
 
 
-class TelecentricProjector(Telecentric, Emission):
+class Beam(Emission):
+    """A projector's tone response and brightness."""
+
+    irradiance_w_m2: PositiveFloat = 100.0
+    """Irradiance of white on a plane perpendicular to the axis at `reference_mm` (telecentric: at any depth)."""
+
+
+class TelecentricProjector(Telecentric, Beam):
     """A projector with parallel rays."""
 
 
-class PinholeProjector(Pinhole, Emission):
+class PinholeProjector(Pinhole, Beam):
     """A projector with one centre of projection."""
 
     reference_mm: PositiveFloat
     """Depth at which `irradiance_w_m2` holds; elsewhere it falls as (reference_mm / depth) ** 2."""
 
 
+class Screen(Device, Emission):
+    """A flat screen that shows the patterns, for deflectometry: the camera sees it by way of a mirroring surface.
+
+    Its frame has its origin in the middle of the screen and z along the normal, towards what it lights (``pose.target_mm``).
+    Pixel (0, 0) is the upper left corner for a viewer in front of it. It is thin, absorbs what falls on it and casts no
+    shadow; of two positions only one shows a pattern at a time, so neither hides the other.
+    """
+
+    model: Literal["screen"] = "screen"
+    size_mm: tuple[PositiveFloat, PositiveFloat]
+    """Width and height of the area of pixels."""
+    radiance_w_m2_sr: PositiveFloat = 100.0
+    """Radiance of white along the normal."""
+    falloff: Annotated[float, Field(ge=0.0, le=64.0)] = 0.0
+    """Exponent n of its radiance over the angle to the normal, ``cos(angle) ** n``; 0: the same in all directions."""
+    lens: ClassVar[None] = None
+
+    def projection(self) -> Projection:
+        """Pixels of points on the screen; its `rays` start at the pixels, along the normal."""
+        rotation, translation = self.pose.matrix()
+        width, height = self.resolution
+        per_mm = width / self.size_mm[0], height / self.size_mm[1]
+        none = (0.0, 0.0, 0.0, 0.0, 0.0)
+        # Columns run against the frame's x, which points to the left of a viewer.
+        return Projection(
+            True,
+            width,
+            height,
+            -per_mm[0],
+            per_mm[1],
+            width / 2,
+            height / 2,
+            none,
+            rotation,
+            translation,
+            np.inf,
+        )
+
+
+def require_one_kind(projectors: Sequence[object]) -> None:
+    """Raise `ValueError` for screens among projectors, more than two, or two in one plane."""
+    screens = [p for p in projectors if isinstance(p, Screen)]
+    if screens and len(screens) < len(projectors):
+        raise ValueError(
+            "projectors and screens are mixed: a rig has either projectors, whose light a surface scatters, or one or "
+            'two positions of a screen (model = "screen"), which it mirrors'
+        )
+    if len(screens) > 2:
+        raise ValueError(f"there are {len(screens)} screens: give one or two positions")
+    if len(screens) == 2:
+        one, two = (screen.projection() for screen in screens)
+        apart = abs(float((two.origin_mm - one.origin_mm) @ one.axis))
+        if apart < MIN_APART_MM:
+            raise ValueError(
+                f"the two positions of the screen are {apart:.3g} mm apart along its normal: move one of them along it, by "
+                f"{MIN_APART_MM:g} mm or more"
+            )
+
+
 Camera = Annotated[Telecentric | Pinhole, Field(discriminator="model")]
-Projector = Annotated[TelecentricProjector | PinholeProjector, Field(discriminator="model")]
+Projector = Annotated[
+    TelecentricProjector | PinholeProjector | Screen, Field(discriminator="model")
+]

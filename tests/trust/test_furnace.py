@@ -12,7 +12,7 @@ from scipy import stats
 
 import render
 from scenes import Scene
-from scenes.rig.projectors import PinholeProjector
+from scenes.rig.projectors import PinholeProjector, Screen
 from scenes.shapes.materials import LIBRARY, Conductor
 from tests.render import rigs
 from tests.trust import chance
@@ -299,6 +299,7 @@ def test_tilted_plate_is_lit_by_cosine_and_distance(case: int, record_property: 
 def _irradiance(scene: Scene, nodes: int = 8) -> Floats:
     """Of the plane z = 0, averaged over each pixel's square, (row, col), W/m^2."""
     camera, light = scene.camera.projection(), scene.projectors[0]
+    assert not isinstance(light, Screen)
     projector = light.projection()
     node, weight = np.polynomial.legendre.leggauss(nodes)
     total = np.zeros((camera.height, camera.width))
