@@ -12,7 +12,6 @@ from decode.device import Device
 from decode.fused.kernel import Kernel
 from decode.fused.plan import Planner
 from decode.fusion.interface import MERGED
-from decode.height.calibrated_view import view_of
 from decode.options import Options
 from decode.reason import Reason
 from decode.reconstruction import AxisPhase, Reconstruction
@@ -28,7 +27,14 @@ FEW = 0.05
 
 
 def decode_fringes(stack: Stack, options: Options) -> Reconstruction:
-    """Heights or phases from one camera's frames of fringes and Gray code."""
+    """Heights or phases from one camera's frames of fringes and Gray code; `DecodeError` if no pixel has any."""
+    found = decode_pixels(stack, options)
+    require_some(found, options)
+    return found
+
+
+def decode_pixels(stack: Stack, options: Options) -> Reconstruction:
+    """As `decode_fringes`, perhaps without a valid pixel."""
     _check_size(stack)
     plain = as_fringes(stack, options.saturation == "reject")
     stack = plain.stack
@@ -77,6 +83,11 @@ def decode_fringes(stack: Stack, options: Options) -> Reconstruction:
         )
     if region is not None:
         best = _within(best, region)
+    return best
+
+
+def require_some(best: Reconstruction, options: Options) -> None:
+    """`DecodeError` that names the reasons if no pixel is valid."""
     # Some pixels first: nearly always one of them is valid. Heights up to whole turns are an answer, and are named so.
     if not (
         (best.reason[::16, ::16] == Reason.OK).any()
@@ -92,12 +103,11 @@ def decode_fringes(stack: Stack, options: Options) -> Reconstruction:
             f"no pixel could be decoded ({shares}): check exposure times, min_modulation_dn "
             f"({minimum}), the patterns' order and the calibration"
         )
-    return best
 
 
 def _check_size(stack: Stack) -> None:
     if stack.calibration is not None:
-        camera = view_of(stack.calibration, 0).rig.camera
+        camera = stack.calibration.camera.projection()
         camera.require_shape(stack.frames.shape[2:], "the frames", DecodeError)
 
 

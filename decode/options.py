@@ -21,7 +21,9 @@ from scenes.support.errors import DecodeError, nearest
 
 Unwrap = Literal["temporal", "row-scan", "quality-guided"]
 Anchor = Literal["gray", "volume", "field", "spatial"]
-Height = Literal["triangulation", "reference-plane", "linear", "phase"]
+Height = Literal[
+    "triangulation", "reference-plane", "linear", "phase", "two-positions", "integration"
+]
 Saturation = Literal["reject", "ignore"]
 Gamma = float | Literal["estimate"]
 Backend = Literal["llvm", "cuda"]
@@ -64,7 +66,10 @@ class Options:
     """Gamma of the response, whose bending of the phase is taken out; estimate: from the fringes' harmonics. None: the
     stack's."""
     height: Height | None = None
-    """phase: none, coordinates only. None: triangulation with a calibration, else linear with `c_px_per_mm`."""
+    """phase: none, coordinates only. None: triangulation with a calibration, else linear with `c_px_per_mm`. With a screen:
+    two-positions, or integration of slopes; None: two-positions where there are two."""
+    known_point: tuple[int, int, float] | None = None
+    """Row and column of a pixel and the height of its point, mm, from which the slopes of one screen position are integrated."""
     c_px_per_mm: float | None = None
     """Fringe shift per mm of height for an uncalibrated linear or reference-plane model."""
     reference: Stack | Reconstruction | None = None
@@ -126,6 +131,12 @@ class Options:
             raise DecodeError(f"gamma is {self.gamma!r}: give a number, or 'estimate'")
         if isinstance(self.gamma, Real) and not 0.2 <= self.gamma <= 5.0:
             raise DecodeError(f"gamma is {self.gamma}: use 0.2 to 5")
+        if self.known_point is not None and (
+            np.shape(self.known_point) != (3,) or not np.isfinite(self.known_point).all()
+        ):
+            raise DecodeError(
+                f"known_point is {self.known_point}: give row, column and height in mm"
+            )
         if self.reference is not None and self.height != "reference-plane":
             raise DecodeError("a reference is given: use height='reference-plane' with it")
 
@@ -149,7 +160,7 @@ class Options:
 
     def summary(self) -> dict[str, Any]:
         """The choices that shape the numbers, in JSON's types."""
-        named = (
+        named: tuple[str, ...] = (
             "saturation",
             "anchor",
             "gamma",
@@ -159,6 +170,8 @@ class Options:
             "exposure",
             "uncertainty",
         )
+        if self.known_point is not None:
+            named = (*named, "known_point")
         limits = (
             "height_range_mm",
             "min_modulation_dn",

@@ -1,5 +1,6 @@
 """Stack to reconstruction: which way of decoding a stack needs."""
 
+from decode.deflectometry import decode_mirror, require_projectors
 from decode.fusion.interface import FusionRule
 from decode.one_camera import decode_fringes
 from decode.options import (
@@ -32,6 +33,7 @@ def reconstruct(
     gamma: Gamma | None = None,
     height: Height | None = None,
     c_px_per_mm: float | None = None,
+    known_point: tuple[int, int, float] | None = None,
     reference: Stack | Reconstruction | None = None,
     height_range_mm: tuple[float, float] | None = None,
     axis: Axis | None = None,
@@ -66,9 +68,12 @@ def reconstruct(
         the stack's.
     height
         ``"triangulation"``, ``"reference-plane"``, ``"linear"``, or ``"phase"`` for phases alone. None: triangulation
-        with a calibration, else linear with `c_px_per_mm`.
+        with a calibration, else linear with `c_px_per_mm`. With a screen ``"two-positions"`` or ``"integration"``.
     c_px_per_mm
         Fringe shift in projector px per mm of height, for an uncalibrated linear or reference-plane model.
+    known_point
+        Row and column of a pixel and the height of its point, mm, from which slopes measured with one position of a screen
+        are integrated.
     reference
         Measured plane z = 0 for the reference-plane model, under the same patterns.
     height_range_mm
@@ -132,6 +137,7 @@ def reconstruct(
             gamma=gamma,
             height=height,
             c_px_per_mm=c_px_per_mm,
+            known_point=known_point,
             reference=reference,
             height_range_mm=height_range_mm,
             axis=axis,
@@ -161,4 +167,7 @@ def reconstruct_with(stack: Stack, options: Options) -> Reconstruction:
     Reconstruction
         Images (row, col); heights in mm.
     """
+    if stack.calibration is not None and stack.calibration.screens:
+        return decode_mirror(stack, options)
+    require_projectors(options)
     return decode_fringes(stack, options)

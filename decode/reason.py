@@ -27,6 +27,9 @@ class Reason(IntEnum):
     ORDER_UNKNOWN = 9
     """The fringe order is known only up to whole turns, so the height may be off by whole fringes: nothing measured fixes
     it, and `reconstruct` was not asked to scan (``unwrap``, or ``anchor="spatial"``)."""
+    NO_IMAGE = 10
+    """The surface sends light of the screen to the camera but shows no image of it: the contrast of the finest fringes is
+    lost, as by a matt surface, which mixes light of the whole screen."""
 
     MIXED = 10
     """The pixel sees two heights, and reports one that is neither: see `decode.validity.error_causes`."""

@@ -83,6 +83,10 @@ class Reconstruction(Displayed):
     """How it was decoded, in JSON's types; "resolved" holds what was chosen where the options left it open."""
     scene: str = ""
     """TOML of the scene that the stack was made from; empty for real captures."""
+    slope: Image | None = None
+    """(2, row, col) slopes dz/dx and dz/dy of the surface in the world, measured by deflectometry; None: not measured."""
+    slope_sigma: Image | None = None
+    """(2, row, col) their predicted standard deviations."""
 
     def _facts(self) -> dict[str, str]:
         rows, columns = self.reason.shape
@@ -98,6 +102,11 @@ class Reconstruction(Displayed):
             Plane("Modulation", "DN", self.modulation_dn),
             Plane("Predicted sigma", "mm", np.where(self.valid, self.sigma_mm, np.nan)),
         ]
+        if self.slope is not None:
+            planes += [
+                Plane(f"Slope dz/d{axis}", "rad", np.where(self.valid, values, np.nan))
+                for axis, values in zip("xy", self.slope, strict=True)
+            ]
         return [plane for plane in planes if np.isfinite(plane.values).any()] or planes[:1]
 
     @classmethod
@@ -238,6 +247,11 @@ class Reconstruction(Displayed):
         for axis, phase in self.phases.items():
             channels[f"{axis}.wrapped_rad"] = phase.wrapped_rad
             channels[f"{axis}.order"] = phase.order.astype(np.float32)
+        for name, slopes in (("slope", self.slope), ("slope_sigma", self.slope_sigma)):
+            if slopes is not None:
+                channels |= {
+                    f"{name}.{axis}": plane for axis, plane in zip("xy", slopes, strict=True)
+                }
         meta = {
             "axis": self.axis,
             "period_px": {axis: phase.period_px for axis, phase in self.phases.items()},
@@ -287,11 +301,20 @@ class Reconstruction(Displayed):
                 settings=dict(meta["settings"]),
                 # Files of version 0.1 do not name their scene.
                 scene=str(meta.get("scene", "")),
+                slope=_pair(channels, "slope"),
+                slope_sigma=_pair(channels, "slope_sigma"),
             )
         except (KeyError, TypeError, ValueError, AttributeError, ValidationError) as error:
             raise FileError(
                 f"'{path}': its reconstruction header or channels are damaged: {in_words(error)}"
             ) from error
+
+
+def _pair(channels: Mapping[str, NDArray[Any]], name: str) -> Image | None:
+    """A quantity along x and y, (2, row, col); None if the file has none."""
+    if f"{name}.x" not in channels:
+        return None
+    return np.stack([channels[f"{name}.{axis}"] for axis in "xy"])
 
 
 def _orders(plane: Image) -> NDArray[np.int32]:

@@ -59,6 +59,8 @@ LESSONS = {
     "interreflection": "Error without noise: light reflected by the other side of the groove biases the heights, and the "
     "predicted deviation does not contain it.",
     "mirror": "There is nothing to decode, and nothing is decoded but for some pixels at the rim, to which blur brings the base's light.",
+    "mirror-deflectometry": "The same plate by [deflectometry](deflectometry.md): all of it is measured, with slopes to 13 µrad. The "
+    "board around it shows no image of the screen, and gets no height.",
     "defocus": "Blur lowers contrast and therefore precision (see predicted). A few pixels in a thousand, at the edges of the "
     "steps, get a wrong order, and these alone determine the RMS.",
     "translucent": "Heights below the surface with a small predicted deviation: a large error that nothing indicates.",

@@ -260,7 +260,10 @@ class _Surface:
         shares = np.stack([1.0 - v - w, v, w], axis=-1)
         normal = np.einsum("ni,nij->nj", shares, self.normals[triangle])
         normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-        return np.where((normal * facing).sum(axis=-1, keepdims=True) < 0, -normal, normal)
+        towards: Points = np.where(
+            (normal * facing).sum(axis=-1, keepdims=True) < 0, -normal, normal
+        )
+        return towards
 
     def lit(
         self, point: Points, normal: Points, pixel: Points, projector: Projection
@@ -281,7 +284,7 @@ class _Surface:
     ) -> NDArray[np.bool_]:
         """Whether mirrored rays that meet the screen's plane at `target` meet its pixels, and nothing before."""
         with np.errstate(invalid="ignore"):
-            inside = ((pixel >= 0) & (pixel < (screen.width, screen.height))).all(axis=-1)
+            inside = np.asarray(((pixel >= 0) & (pixel < (screen.width, screen.height))).all(-1))
         return self._free(point, normal, target - point, inside)
 
     def _free(
@@ -313,7 +316,8 @@ def _corner_normals(part: Part) -> Points:
     """(triangle, corner, 3): vertex normals of a smooth part, else the triangles' own."""
     vertices, faces = np.asarray(part.mesh.vertices), np.asarray(part.mesh.faces)
     if part.smooth:
-        return vertex_normals(vertices, faces)[faces]
+        smooth: Points = vertex_normals(vertices, faces)[faces]
+        return smooth
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     return np.repeat(np.cross(b - a, c - a)[:, None], 3, axis=1)
 

@@ -145,12 +145,17 @@ class Planner:
     @cached_property
     def _view(self) -> CalibratedView | None:
         calibration = self.stack.calibration
-        return None if calibration is None else view_of(calibration, self.projector)
+        if calibration is None or calibration.screens:
+            return None
+        return view_of(calibration, self.projector)
 
     @cached_property
     def _volume_mm(self) -> tuple[float, float] | None:
         """Heights that are accepted: the working volume and its margin; None if unknown."""
         heights = self.options.height_range_mm
+        if self.stack.calibration is not None and self.stack.calibration.screens:
+            # A screen's coordinate says nothing of the height by itself.
+            return None
         if heights is None and self.stack.calibration is not None:
             heights = self.stack.calibration.height_range_mm
         if heights is None:

@@ -37,6 +37,11 @@ class CalibratedView:
     projector: int
 
     def __post_init__(self) -> None:
+        if self.calibration.screens:
+            raise DecodeError(
+                "the rig has a screen, which a surface mirrors: it has no projector to triangulate with; decode.reconstruct "
+                "measures slopes with it"
+            )
         known = len(self.calibration.projectors)
         if not 0 <= self.projector < known:
             raise DecodeError(

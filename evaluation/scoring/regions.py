@@ -17,6 +17,7 @@ from scipy import ndimage
 from decode import Reconstruction
 from evaluation.scoring.feature_fits import Feature, features
 from evaluation.scoring.identity import differing_parts, other_unit
+from evaluation.scoring.slope_scores import SlopeScore, slope_scores
 from scenes.files.truth_maps import Truth
 from scenes.support.atomic_file import replacing
 from scenes.support.errors import FringebenchWarning, ScoreError
@@ -86,6 +87,8 @@ class Score(Displayed):
     """Render noise reached, where a limit was asked for."""
     forced: tuple[str, ...] = ()
     """Parts of the scene in which reconstruction and truth differ, where they were scored by force."""
+    slopes: Mapping[str, SlopeScore] | None = None
+    """Slopes by label, of deflectometry; None: not measured."""
 
     def _facts(self) -> dict[str, str]:
         def of(value: float | None) -> str:
@@ -121,6 +124,7 @@ class Score(Displayed):
             "features": {name: asdict(feature) for name, feature in self.features.items()},
             "unlit": asdict(self.unlit),
             **light,
+            **({"slopes": {k: asdict(v) for k, v in self.slopes.items()}} if self.slopes else {}),
             **({"forced": list(self.forced)} if self.forced else {}),
         }
 
@@ -204,7 +208,11 @@ def score(
             FringebenchWarning,
             stacklevel=2,
         )
-    return Score(_name(truth), regions, features(measured, truth), shade, forced=parts)
+    masks = {label: scored(truth, label, margin_px) for label in truth.labels}
+    slopes = slope_scores(rec, truth, masks)
+    return Score(
+        _name(truth), regions, features(measured, truth), shade, forced=parts, slopes=slopes
+    )
 
 
 def region_scores(

@@ -53,6 +53,33 @@ def feature_table(score: evaluation.Score) -> Table:
     return figure_table("features", "feature", ("measured mm", "truth mm", "difference µm"), rows)
 
 
+SLOPE_COLUMNS = "slopes µrad", "pred. µrad", "in 1 σ %", "in 1.96 σ %", "form µm"
+
+
+def slope_rows(score: evaluation.Score) -> list[list[str]]:
+    """One row per label: slope errors, the standard deviation predicted, how well it holds, and the form error."""
+    return [
+        [
+            label,
+            number(own.rms_urad, 1, 1),
+            number(own.predicted_urad, 1, 1),
+            number(own.within_one_sigma, 100, 1),
+            number(own.within_two_sigma, 100, 1),
+            number(own.form_um, 1, 3),
+        ]
+        for label, own in (score.slopes or {}).items()
+    ]
+
+
+def extra_tables(score: evaluation.Score) -> list[Table]:
+    """Features and slopes, where there are any."""
+    tables = [feature_table(score)] if score.features else []
+    if score.slopes:
+        title = "slopes, and the form without its tilt"
+        tables.append(figure_table(title, "region", SLOPE_COLUMNS, slope_rows(score)))
+    return tables
+
+
 def budget_table(found: ErrorBudget) -> Table:
     """One row per region and cause: RMS error with this cause alone, and RMS error removed without it."""
     table = figure_table("error budget, RMS; squares add up", "region", ())

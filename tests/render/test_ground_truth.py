@@ -62,17 +62,28 @@ class Embree:
         self, points: NDArray[np.float64], triangles: NDArray[np.int64], projector: int
     ) -> NDArray[np.bool_]:
         """Per pixel whether the projector's light reaches the point, from the side that the camera sees."""
-        light = self.scene.projectors[projector].projection()
-        camera = self.scene.camera.projection()
+        device = self.scene.projectors[projector]
+        camera, light = self.scene.camera.projection(), device.projection()
         towards = -light.axis if light.telecentric else light.origin_mm - points
         towards = np.broadcast_to(towards, points.shape)
         towards = towards / np.linalg.norm(towards, axis=-1, keepdims=True)
         back = -camera.axis if camera.telecentric else camera.origin_mm - points
         normal = self.mesh.face_normals[triangles]
+        shows = np.ones(points.shape[:2], np.bool_)
+        if isinstance(device, scenes.Screen):
+            along = camera.rays(camera.pixel_centres())[1]
+            towards = along - 2 * (along * normal).sum(-1, keepdims=True) * normal
+            rotation, translation = device.pose.matrix()
+            start, way = points @ rotation.T + translation, towards @ rotation.T
+            place = start - start[..., 2:] / way[..., 2:] * way
+            half = np.array(device.size_mm) / 2
+            shows = (
+                (np.abs(place[..., :2]) < half).all(-1) & (start[..., 2] > 0) & (way[..., 2] < 0)
+            )
         seen, lit = ((normal * direction).sum(-1) for direction in (back, towards))
         start = points + 1e-3 * np.sign(seen)[..., None] * normal
         blocked = self.caster.intersects_any(start.reshape(-1, 3), towards.reshape(-1, 3))
-        free = ~blocked.reshape(seen.shape) & np.isfinite(points[..., 0])
+        free = ~blocked.reshape(seen.shape) & shows & np.isfinite(points[..., 0])
         return np.asarray((seen * lit > 0) & free, np.bool_)
 
 

@@ -53,13 +53,13 @@ def run(
         print_json(result.score.to_dict())
         return
     from fringebench.experiments.noise_summary import describe, describe_regions
-    from fringebench.pages.score_tables import feature_table, fused_title, score_table
+    from fringebench.pages.score_tables import extra_tables, fused_title, score_table
 
     console = answer_console()
     console.print(score_table(result.naive, NAIVE_TITLE))
     console.print(score_table(result.score, fused_title(len(result.stack.exposure_ms), fusion)))
-    if result.score.features:
-        console.print(feature_table(result.score))
+    for table in extra_tables(result.score):
+        console.print(table)
     said = describe(result.score.light) if result.score.light else describe_regions(result.score)
     if said:
         console.print(said, soft_wrap=True)
@@ -229,7 +229,19 @@ def decode_stack(
     height: Annotated[
         str | None,
         typer.Option(
-            help="Height: triangulation, reference-plane, linear; phase: none, phases only."
+            help="Height: triangulation, reference-plane, linear; phase: none, phases only. With a screen: "
+            "two-positions, integration."
+        ),
+    ] = None,
+    projector: Annotated[
+        int | None,
+        typer.Option(help="Use this projector, or screen position, alone; counted from 0.", min=0),
+    ] = None,
+    known_point: Annotated[
+        tuple[int, int, float] | None,
+        typer.Option(
+            metavar="ROW COL MM",
+            help="With one position of a screen: height of the surface at a pixel.",
         ),
     ] = None,
     c_px_per_mm: Annotated[
@@ -291,6 +303,8 @@ def decode_stack(
             "fusion": fusion,
             "unwrap": unwrap,
             "height": height,
+            "projector": projector,
+            "known_point": known_point,
             "c_px_per_mm": c_px_per_mm,
             "gamma": number,
             "roi": roi,
@@ -349,11 +363,11 @@ def evaluate(
         print_json(score.to_dict())
         return
     from fringebench.experiments.noise_summary import describe_regions
-    from fringebench.pages.score_tables import feature_table, score_table
+    from fringebench.pages.score_tables import extra_tables, score_table
 
     answer_console().print(score_table(score, escape(str(reconstruction))))
-    if score.features:
-        answer_console().print(feature_table(score))
+    for table in extra_tables(score):
+        answer_console().print(table)
     if said := describe_regions(score):
         answer_console().print(said, soft_wrap=True)
     beyond = [

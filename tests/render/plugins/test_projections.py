@@ -14,7 +14,7 @@ from render.plugins.variant import mi, use
 from scenes.acquisition.pattern_basis import basis
 from scenes.acquisition.patterns import PhaseShift
 from scenes.rig.devices import Pinhole
-from scenes.rig.projectors import PinholeProjector
+from scenes.rig.projectors import PinholeProjector, Screen
 from tests.render import rigs
 from tests.render.rigs import DISTORTION
 
@@ -84,6 +84,7 @@ def test_opencv_projects_points_of_camera_plugin_rays_to_their_pixel() -> None:
 def test_irradiance_has_the_stated_direction_and_falloff(model: Any) -> None:
     scene = rigs.scene(rigs.pinhole(), model(resolution=(1024, 768)))
     projector = scene.projectors[0]
+    assert not isinstance(projector, Screen)
     geometry = projector.projection()
     points = points_mm()
     pixels, depth = geometry.project(points)

@@ -10,6 +10,7 @@ from scipy.special import erf
 
 import render
 from render.plugins.variant import mi, use
+from scenes.rig.projectors import Screen
 from tests.render import rigs
 from tests.render.oracle import Comparison
 from tests.render.plugins.test_projections import FLOAT32_PX, emitter, points_mm, sample
@@ -36,6 +37,7 @@ def test_light_at_a_point_is_that_of_its_pixels(model: Any, axis: str) -> None:
         patterns={"axes": (axis,)},
     )
     projector = scene.projectors[0]
+    assert not isinstance(projector, Screen)
     geometry = projector.projection()
     points = points_mm()
     pixels, depth = geometry.project(points)
@@ -75,6 +77,7 @@ def test_pixels_of_a_projector_are_those_of_mitsubas_stock_projector(tmp_path: P
     patterns = {"periods_px": (7.0,), "axes": ("column", "row")}
     scene = rigs.scene(rigs.pinhole(), device, objects=rigs.plane(), depth=1, patterns=patterns)
     projector = scene.projectors[0]
+    assert not isinstance(projector, Screen)
     width, height = projector.resolution
     look = mi.ScalarTransform4f().look_at(pose["origin_mm"], pose["target_mm"], (0.0, 1.0, 0.0))
     plain = render.mitsuba_scene(scene)

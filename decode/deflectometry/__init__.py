@@ -1,0 +1,5 @@
+"""Mirroring surfaces, measured by the image of a screen that they show: slopes, and heights from them."""
+
+from decode.deflectometry.mirror import decode_mirror, require_projectors
+
+__all__ = ["decode_mirror", "require_projectors"]
