@@ -138,6 +138,10 @@ def _way(stack: Stack, options: Options) -> str:
             raise DecodeError(
                 f"{name} is given, but the rig has a screen, whose columns and rows give slopes together: leave it out"
             )
+    if options.uncertainty != "sensor":
+        raise DecodeError(
+            f"uncertainty='{options.uncertainty}' is for projectors, and the rig has a screen: leave it out"
+        )
     way = options.height or ("two-positions" if positions == 2 else "integration")
     if way not in HEIGHTS:
         raise DecodeError(
