@@ -10,6 +10,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from fringebench.pages.method_table import best_methods
+
 PAGE = Path(__file__).parent / "which-strategy.md"
 START, END = "<!-- table -->", "<!-- end of table -->"
 LADDER = "single,auto-exposure,max-modulation,masked-least-squares,censored-ml,inverted,complementary,2n-step,more-steps,adaptive-projection"
@@ -61,16 +63,7 @@ def table(folder: Path) -> str:
     lines.append("|---|---|---|---|---|")
     for surface, run, label, usual in ROWS:
         entries = {e["name"]: e for e in answer(folder, run)["strategies"]}
-        most = max(e["regions"][label]["coverage"] for e in entries.values())
-        rivals = {n: e["regions"][label] for n, e in entries.items()}
-        rivals = {n: r for n, r in rivals.items() if r["coverage"] >= most - 0.01}
-        best = min(rivals, key=lambda n: rivals[n]["median_abs_mm"])
-        limit = rivals[best]["median_abs_mm"] + rivals[best]["half_width"]["median_abs_mm"]
-        tied = [
-            n
-            for n, r in rivals.items()
-            if n != best and r["median_abs_mm"] - r["half_width"]["median_abs_mm"] <= limit
-        ]
+        best, *tied = best_methods(list(entries.values()), label)
         others = f" (tied: {', '.join(f'`{n}`' for n in tied)})" if tied else ""
         lines.append(
             f"| {surface} (`{run}`, `{label}`) | `{best}`{others} | {figures(entries[best], label)} | `{usual}` | "

@@ -1,4 +1,4 @@
-"""The command that compares strategies."""
+"""Commands that compare strategies: on one scene, and by surface."""
 
 from pathlib import Path
 from typing import Annotated
@@ -15,6 +15,7 @@ from fringebench.cli.shared_options import (
     Seed,
     Settings,
     ShowProgress,
+    scene_names,
 )
 from fringebench.cli.terminal import answer_console, print_figures, print_json, progress_steps, say
 from fringebench.progress import Mode
@@ -95,6 +96,61 @@ def compare(
         console.print(describe(result.light), soft_wrap=True)
     if output:
         say(f"files in {output}")
+
+
+@app.command(
+    epilog="Example: fringebench methods bench ink-solder --set camera.resolution=[160,120]"
+)
+def methods(
+    scene: Annotated[
+        list[str],
+        typer.Argument(help="Shipped scenes' names, or TOML files.", autocompletion=scene_names),
+    ] = ["bench", "ink-solder", "interreflection"],  # noqa: B006
+    strategies: Annotated[
+        str | None, typer.Option(metavar="LIST", help="Names separated by commas; all by default.")
+    ] = None,
+    repeats: Annotated[
+        int, typer.Option(help="Captures of each strategy; 2 or more give intervals.", min=1)
+    ] = 3,
+    budget: Annotated[
+        str, typer.Option(help="What is equal: equal-time, equal-frames or cycle-time.")
+    ] = "cycle-time",
+    settings: Settings = [],  # noqa: B006
+    phase_error: PhaseError = None,
+    render_noise: RenderNoise = None,
+    seed: Seed = 0,
+    progress: ShowProgress = Mode.AUTO,
+    as_json: AsJson = False,
+) -> None:
+    """Show which strategy errs least on which surface: the median height error of every strategy on every region."""
+    import scenes
+    from evaluation.hdr.light_budget import known_budgets
+    from fringebench import verbs
+    from fringebench.pages.method_table import best_methods, method_table, surfaces
+
+    (equal,) = known_budgets([budget])
+    steps = progress_steps(progress)
+    overrides = parse_overrides(settings, phase_error, render_noise)
+    chosen = None if strategies is None else _names(strategies)
+    # All are read before the first is traced.
+    loaded = {name: scenes.load(name, overrides) for name in scene}
+    found, left_out = {}, []
+    for word, one in loaded.items():
+        result = verbs.compare(one, chosen, repeats, seed, None, steps, [equal])
+        found[word] = result.to_dict()["strategies"]
+        left_out += [(word, name, reason) for name, _, reason in result.left_out]
+    if as_json:
+        best = [
+            {"scene": name, "region": label, "best": best_methods(found[name], label)}
+            for name, label in surfaces(found)
+        ]
+        lost = [dict(zip(("scene", "name", "reason"), one, strict=True)) for one in left_out]
+        print_json({"budget": equal, "surfaces": best, "strategies": found, "left_out": lost})
+        return
+    title = f"median height error, {equal}; = smallest of those that cover most, or tied with it; (share measured)"
+    print_figures([method_table(found, title)])
+    for name, strategy, reason in left_out:
+        say(f"left out: {strategy} on {name}: {reason}")
 
 
 def _names(text: str) -> list[str]:
