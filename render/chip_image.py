@@ -49,8 +49,7 @@ class Image:
         kernel = spread_kernel(sensor, subpixels)
         if kernel is not None:
             light = blurred(light, kernel)
-            # Without ambient light a convolution of zeros is saved.
-            ambient = blurred(ambient, kernel) if ambient.any() else ambient
+            ambient = blurred(ambient, kernel)
         if subpixels > 1:
             light, ambient = binned(light, subpixels), binned(ambient, subpixels)
             label = label[subpixels // 2 :: subpixels, subpixels // 2 :: subpixels]

@@ -1,7 +1,7 @@
 """Linear light becomes raw frames: any patterns, sensor and exposures, without tracing again."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from render.chip_image import Image
 from render.exposure_time import exposure_times_ms
+from render.motion import conveyed, height_slope
 from render.pattern_span import channel_weights, plane_weights
 from render.sensor_stages import Floats, LineNoise, Noise, digital_numbers, fixed_pattern
 from render.speckle import speckled
 from render.transport import Transport
 from render.unsteady_light import STEADY, Moment, is_steady, moment
-from render.vibration import height_slope
 from scenes.acquisition.patterns import Patterns
 from scenes.acquisition.sensor import Sensor
 from scenes.files.stack import Stack
@@ -44,6 +44,7 @@ def expose(
     subpixels: int = 1,
     slope: Transport | None = None,
     steady: bool | None = None,
+    moved: Iterable[Transport] | None = None,
 ) -> Stack:
     """Take the pictures: every exposure of every frame of every projector, in the order of `Scene.frames`.
 
@@ -70,8 +71,10 @@ def expose(
     slope
         Of `render.height_slope`, for a scene with `vibration_um`; None: traced here, twice as costly as the transport.
     steady
-        Leave out vibration, fluctuation, flicker, speckle and bit planes; None: without `noise` leave out what is random of
-        them.
+        Leave out vibration, conveyor, fluctuation, flicker, speckle and bit planes; None: without `noise` leave out what is
+        random of them.
+    moved
+        Of `render.conveyed`, for a scene with `conveyor_um`; None: traced here, each picture as it is taken.
 
     Returns
     -------
@@ -124,11 +127,16 @@ def expose(
         image = Image.of(transport, scene.sensor, subpixels, direct_only)
     still = is_steady(scene) or steady is True
     steady = still or (not noise if steady is None else steady)
+    rising = None
     if scene.vibration_um and not steady:
-        moving = Image.of(slope or height_slope(transport), scene.sensor, subpixels, direct_only)
-        image = replace(image, slope=moving)
-    if not steady and any(p.speckle_contrast for p in scene.projectors):
-        image = speckled(image, scene, seed)
+        rising = Image.of(slope or height_slope(transport), scene.sensor, subpixels, direct_only)
+    speckles = not steady and any(p.speckle_contrast for p in scene.projectors)
+
+    def at_work(image: Image) -> Image:
+        image = replace(image, slope=rising)
+        return speckled(image, scene, seed) if speckles else image
+
+    image = at_work(image)
     height, width = image.ambient.shape
     shape = (len(times_ms), len(shown), height * width)
     frames = mapped.array(
@@ -155,7 +163,24 @@ def expose(
         for f, (_, row) in enumerate(shown)
     ]
     projectors = [projector for projector, _ in shown]
-    _fill(frames, image, projectors, weights, times_ms, scene.sensor, seeds, moments, progress)
+    pictures: Iterator[Image] | None = None
+    if any(scene.conveyor_um) and not still:
+        lights = moved or conveyed(transport, [p for p in projectors for _ in times_ms])
+        pictures = (
+            at_work(Image.of(light, scene.sensor, subpixels, direct_only)) for light in lights
+        )
+    _fill(
+        frames,
+        image,
+        pictures,
+        projectors,
+        weights,
+        times_ms,
+        scene.sensor,
+        seeds,
+        moments,
+        progress,
+    )
     return Stack(
         frames.reshape(*shape[:2], height, width),
         scene.frames,
@@ -170,6 +195,7 @@ def expose(
 def _fill(
     frames: NDArray[Any],
     image: Image,
+    pictures: Iterator[Image] | None,
     projectors: Sequence[int],
     weights: Sequence[Sequence[Floats]],
     times_ms: Sequence[float],
@@ -180,7 +206,7 @@ def _fill(
 ) -> None:
     """Write digital numbers into `frames` (exposure, frame, pixel).
 
-    `projectors` are (frame,), `weights` (frame, exposure) of channels, `moments` (frame, exposure); `seeds` are (noise, chip),
+    `pictures` are those of a moving scene, exposure by exposure of each frame; `projectors` are (frame,), `weights` (frame, exposure) of channels, `moments` (frame, exposure); `seeds` are (noise, chip),
     None for no noise.
     """
     count = image.ambient.size
@@ -192,6 +218,7 @@ def _fill(
             seeds and LineNoise.of(sensor, seeds[0], e, frame, image.shape)
             for e in range(len(times_ms))
         ]
+        here = [next(pictures, None) if pictures else image for _ in times_ms]
         for start in range(0, count, BLOCK):
             pixels = slice(start, min(start + BLOCK, count))
             projector, rows = projectors[frame], weights[frame]
@@ -199,8 +226,11 @@ def _fill(
             for e, (time_ms, stream) in enumerate(zip(times_ms, streams, strict=True)):
                 line = lines[e]
                 now = moments[frame][e]
-                steady = now == STEADY
-                radiance = calm if steady else image.radiance(projector, rows[e], pixels, now)
+                seen = here[e]
+                if seen is None:
+                    raise RenderError("moved has fewer lights than pictures: give one for each")
+                steady = seen is image and now == STEADY
+                radiance = calm if steady else seen.radiance(projector, rows[e], pixels, now)
                 frames[e, frame, pixels] = digital_numbers(
                     radiance,
                     time_ms,
@@ -213,7 +243,9 @@ def _fill(
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         # NumPy releases the interpreter lock while it draws and computes. The loop re-raises errors.
         try:
-            for done, _ in enumerate(pool.map(take, range(len(projectors))), 1):
+            # A moving scene is traced as its pictures are taken, in their order.
+            run = map if pictures else pool.map
+            for done, _ in enumerate(run(take, range(len(projectors))), 1):
                 mapped.release_pages(frames)
                 if progress:
                     progress(done / len(projectors))

@@ -93,6 +93,9 @@ def blurred(images: NDArray[np.float32], kernel: Floats) -> NDArray[np.float32]:
         images.shape, np.float32, what, "lower camera.resolution, or set sensor.psf to none"
     )
     for index in np.ndindex(images.shape[:-2]):
+        if not images[index].any():
+            result[index] = 0.0
+            continue
         waves = fft.dctn(images[index].astype(np.float64), overwrite_x=True)
         waves *= transfer
         result[index] = fft.idctn(waves, overwrite_x=True)

@@ -31,7 +31,7 @@ def is_steady(scene: Scene) -> bool:
     flickers = scene.ambient.radiance_w_m2_sr > 0.0 and scene.ambient.flicker_depth > 0.0
     sources = any(p.fluctuation or p.speckle_contrast for p in scene.projectors)
     planes = any(p.frame_ms is not None for p in scene.projectors)
-    return not (flickers or scene.vibration_um or sources or planes)
+    return not (flickers or scene.vibration_um or any(scene.conveyor_um) or sources or planes)
 
 
 def moment(

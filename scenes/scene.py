@@ -26,6 +26,7 @@ MIN_PHASE_ERROR_RAD = 1e-6
 # Below this a pass would need too many paths.
 MIN_RENDER_NOISE = 0.01
 
+Step = Annotated[float, Field(ge=-1e5, le=1e5)]
 Label = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=64)]
 
 
@@ -156,6 +157,9 @@ class Scene(Frozen):
     """Light from other sources than the projectors."""
     vibration_um: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
     """Standard deviation of the scene's height from one picture to the next."""
+    conveyor_um: tuple[Step, Step] = (0.0, 0.0)
+    """How far the objects move along x and y from each picture to the next: pattern by pattern, of each all exposures. They are at
+    their places in the middle of the pictures. Pictures cost a trace each."""
     patterns: Patterns
     """Patterns that the projectors show."""
     sensor: Sensor = SimpleSensor()

@@ -36,10 +36,11 @@ CAUSES = (
     "source",
     "speckle",
     "bit-planes",
+    "conveyor",
 )
 # Causes that are in traced light, and causes that differ from picture to picture.
 OPTICAL = frozenset(CAUSES[4:6] + CAUSES[7:11])
-RANDOM = frozenset({"noise", "vibration", "source", "speckle", "bit-planes"})
+RANDOM = frozenset({"noise", "vibration", "source", "speckle", "bit-planes", "conveyor"})
 # Electrons; a full well that no light fills.
 BOTTOMLESS_E = 1e12
 
@@ -53,7 +54,7 @@ def budget(
     ``saturation`` (clipping; without it the longest exposure is used everywhere, so it interacts with noise),
     ``interreflection`` (light that met more than one surface), ``psf`` (the camera's blur), ``vibration`` (of the scene),
     ``source`` (fluctuation of the projectors, flicker of ambient light), ``speckle`` (of coherent projectors), ``defocus`` (lenses of camera and projectors),
-    ``bit-planes`` (of micromirror devices, where an exposure is no whole number of frames), ``footprint`` (the width of a pixel; without it only the ray of its centre counts), ``projector-pixels`` (squares, gaps
+    ``bit-planes`` (of micromirror devices, where an exposure is no whole number of frames), ``conveyor`` (motion along x and y), ``footprint`` (the width of a pixel; without it only the ray of its centre counts), ``projector-pixels`` (squares, gaps
     and blur of the projector), ``gamma`` and ``projector-quantisation`` (its tone curve and bits) and ``vignetting`` (of all
     devices). The sensor's non-linearity counts as saturation. Causes that the scene does not have are left out. Exposure
     times are always those of the complete scene. `choices` are options of `decode.reconstruct`.
@@ -68,6 +69,7 @@ def budget(
     causes = [cause for cause in CAUSES if has_cause(scene, cause)]
     lights: dict[Causes, render.Transport] = {}
     slopes: dict[Causes, render.Transport] = {}
+    moved: dict[Causes, list[render.Transport]] = {}
     surfaces = render.surfaces(scene)
     truth = None
     errors: dict[Causes, Floats] = {}
@@ -84,12 +86,22 @@ def budget(
                 slopes[optical] = render.height_slope(lights[optical], surfaces, footprint)
         if truth is None:  # the first variant has everything on
             truth = render.truth(scene, lights[optical], surfaces)
-            times = render.expose(lights[optical], seed=seed).exposure_ms
+            times = render.expose(lights[optical], seed=seed, steady=True).exposure_ms
+        if "conveyor" in on and optical not in moved:
+            with steps.step("trace light of each picture"):
+                lit = [frame.projector for frame in scene.frames for _ in times]
+                footprint = float("footprint" in on)
+                moved[optical] = list(render.conveyed(lights[optical], lit, surfaces, footprint))
         with steps.step("decode with " + (", ".join(sorted(on)) or "nothing against it")):
             slope = slopes.get(optical) if "vibration" in on else None
+            pictures = moved.get(optical) if "conveyor" in on else None
             errors[on] = np.stack(
                 [
-                    _error_mm(_expose(lights[optical], slope, on, times, seed + i), truth, choices)
+                    _error_mm(
+                        _expose(lights[optical], slope, pictures, on, times, seed + i),
+                        truth,
+                        choices,
+                    )
                     for i in range(repeats if on & RANDOM else 1)
                 ]
             )
@@ -147,6 +159,7 @@ def without_causes(scene: scenes.Scene, off: Causes) -> scenes.Scene:
             "projectors": tuple(projectors),
             "ambient": ambient,
             "vibration_um": 0.0 if "vibration" in off else scene.vibration_um,
+            "conveyor_um": (0.0, 0.0) if "conveyor" in off else scene.conveyor_um,
         }
     )
 
@@ -162,6 +175,7 @@ def _trace(
 def _expose(
     transport: render.Transport,
     slope: render.Transport | None,
+    moved: list[render.Transport] | None,
     on: Causes,
     times: Sequence[float],
     seed: int,
@@ -184,6 +198,7 @@ def _expose(
         noise="noise" in on,
         steady=not on & RANDOM,
         slope=slope,
+        moved=moved,
     )
     frames = stack.frames
     if clips and not rounds:

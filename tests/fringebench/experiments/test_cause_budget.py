@@ -139,6 +139,16 @@ def test_causes_of_a_camera_are_found_in_its_scene() -> None:
     assert rms(base["source"].alone_mm2) > 5 * rms(abs(base["vignetting"].alone_mm2 or 0.0))
 
 
+def test_a_conveyor_errs_at_edges_along_its_way() -> None:
+    few = {"camera.resolution": [160, 120], "sampling.samples": 4, "sensor.sigma_dn": 0.01}
+    scene = scenes.load("step", {**PLAIN, **few, "conveyor_um": [100.0, 0.0]})
+    regions = budget(scene, repeats=1).regions
+    # A block of 1.5 mm whose edges move by 1.1 mm in 12 pictures, a pixel for every two, and a plate that looks the same.
+    step, base = (regions[name].causes["conveyor"] for name in ("step", "base"))
+    assert rms(step.alone_mm2) > 2 * rms(base.alone_mm2)
+    assert step.coverage_alone < base.coverage_alone < 0.0
+
+
 def test_defocus_acts_through_noise_by_lowering_contrast() -> None:
     """It moves no fringe: alone it does little, but removing it removes most of the noise it lets in."""
     found = budget(scenes.load("defocus", {**SMALL, "sampling.samples": 64}), repeats=4).regions[
@@ -162,4 +172,4 @@ def test_ignored_saturation_is_attributed_to_saturation() -> None:
 def test_zero_repeats_are_refused() -> None:
     with pytest.raises(FringebenchError, match="repeats"):
         budget(scenes.load("step"), repeats=0)
-    assert len(set(CAUSES)) == len(CAUSES) == 15
+    assert len(set(CAUSES)) == len(CAUSES) == 16
