@@ -6,6 +6,7 @@ import sys
 import traceback
 import warnings
 from contextlib import suppress
+from itertools import pairwise
 from typing import Annotated, Any
 
 import typer
@@ -106,6 +107,7 @@ def _status() -> Any:
     try:
         status: Any = 0
         try:
+            _require_output()
             app()
         except SystemExit as leaving:
             status = leaving.code
@@ -139,6 +141,16 @@ def _status() -> Any:
         )
         return INTERNAL_ERROR
     return 2
+
+
+def _require_output() -> None:
+    """Refuse an output of no characters: as a path it is the current folder, and mostly a shell's variable that was not set."""
+    words = sys.argv[1:]
+    if "--output=" in words or any(
+        option in ("-o", "--output") and not value for option, value in pairwise(words)
+    ):
+        sys.stderr.write("fringebench: the output (-o) is empty: give a file or a folder\n")
+        raise SystemExit(2)
 
 
 def _is_ours(error: Exception) -> bool:

@@ -20,6 +20,17 @@ def folder(small_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     return tmp_path / "run"
 
 
+@pytest.mark.parametrize("words", [["-o", ""], ["--output", ""], ["--output="]], ids=" ".join)
+def test_empty_output_is_refused_and_not_the_current_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: Call, words: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for command in (["run", "cap", *SMALL], ["dataset", "spi"], ["chapter"]):
+        status, _, err = call(*command, *words)
+        assert (status, "output (-o) is empty" in err) == (2, True)
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     "words",
     [

@@ -109,7 +109,7 @@ def test_command_makes_verifies_and_repairs(call: Call, scene_file: Path, tmp_pa
         (("spi", "--count", 2, "-o", "nonesuch://x"), "cannot open 'nonesuch://x'"),
         (("spi", "--count", 2, "-o", "x", "--set", "camera.colour=1"), "unknown key"),
         (("--verify", "-o", "x"), "holds no data set"),
-        (("spi", "--count", 2, "-o", ""), "place of the data set is empty"),
+        (("spi", "--count", 2, "-o", ""), "output (-o) is empty"),
         (("spi", "--count", 2, "-o", "file://"), "place of the data set is empty"),
         (("spi", "--count", 2, "-o", "memory://set"), "lost when it ends"),
         (("spi", "--count", 2, "-o", "simplecache::memory://set"), "lost when it ends"),
