@@ -231,6 +231,21 @@ def test_matlab_toolbox_files_are_read(tmp_path: Path, matrices: bool) -> None:
         Source(files=(tmp_path / "broken.mat",)).pair()
 
 
+def test_skew_of_the_matlab_toolbox_is_refused_with_its_size(tmp_path: Path) -> None:
+    # The toolbox stores skew over focal length: 0.001 x 2000 px = 2 px.
+    nodes: dict[str, Any] = {"R": R, "T": T[:, None], "nx": 2592, "ny": 1944}
+    for side in ("left", "right"):
+        nodes |= {
+            f"fc_{side}": np.array([2000.0, 1900.0]),
+            f"cc_{side}": np.array([1296.0, 972.0]),
+            f"alpha_c_{side}": 0.001,
+            f"kc_{side}": np.zeros(5),
+        }
+    scipy.io.savemat(tmp_path / "skew.mat", nodes)
+    with pytest.raises(FileError, match="has skew 2:"):
+        Source(files=(tmp_path / "skew.mat",)).pair()
+
+
 def rows(array: Any) -> str:
     return "\n".join(" ".join(f"{x:.12g}" for x in row) for row in np.atleast_2d(array)) + "\n"
 
