@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import decode
-from decode.validity.error_causes import across_projectors
+from decode.validity.error_causes import _below_best, across_projectors
 from scenes.acquisition.patterns import PhaseShift
 from scenes.files.stack import Stack
 from scenes.support.errors import DecodeError, FringebenchWarning
@@ -98,12 +98,39 @@ def test_pixels_that_see_both_sides_of_a_step_are_rejected_or_covered(step_mm: f
     assert (np.abs(sensor.height_mm - truth) > 5.0 * sensor.sigma_mm)[:, 48].mean() > 0.1
 
 
+def test_a_pixel_next_to_shadow_may_have_the_height_of_its_lit_part() -> None:
+    made = stack()
+    frames = made.frames.copy()
+    frames[..., 40:44] = 40.0  # No fringes.
+    rec = by_cause(replace(made, frames=frames))
+    assert (rec.reason[:, 40:44] == decode.Reason.SHADOW).all()
+    assert not rec.cause_sigma_mm["mixed"][:, 40:44].any()
+    # One pixel of the plane changes the projector's column by so much, and 1 mm of height by so much.
+    low, high = (decode.reconstruct(stack(mm)).phases["column"].coordinate_px for mm in (0.0, 1.0))
+    one_pixel_mm = np.hypot(*np.gradient(low)).mean() / np.abs(high - low).mean()
+    for beside in (39, 44):
+        sigma = np.median(rec.cause_sigma_mm["mixed"][:, beside])
+        assert sigma == pytest.approx(0.2 * one_pixel_mm, rel=0.15)
+    assert (rec.cause_sigma_mm["mixed"][:, 46:] > 0).mean() < 0.02
+
+
+@pytest.mark.parametrize("size", [(9, 1), (1, 9), (2, 2)])
+def test_images_of_few_pixels_are_decoded(size: tuple[int, int]) -> None:
+    shown = PhaseShift(periods_px=(80.0, 400.0))
+    made = calibrated_stack(rig(size=size), np.zeros(size[::-1]), shown, sigma_dn=0.5)
+    rec = by_cause(made)
+    assert np.isfinite(rec.total_sigma_mm).all()
+
+
 def test_indirect_light_widens_sigma_by_the_modulation_it_takes() -> None:
     # Light that spreads loses modulation in proportion to frequency: 1, 1/5 and 1/25 of the finest's loss.
     rec = by_cause(stack(modulation=patch_loss(lambda period: 0.25 * 16.0 / period)))
     stray = rec.cause_sigma_mm["stray"]
     outside = np.ones(SIZE[::-1], bool)
     outside[PATCH] = False
+    # 1 DN of noise on four steps of B = 60 DN turns the phase by sqrt(2/4)/60 = 0.012 rad. A loss of 0.25, less 0.03 and
+    # three sigma of the mean of nine, 0.02, is 0.20: half of 0.20/0.80 is 0.125 rad, 10.6 times the noise.
+    assert np.median((stray / rec.sigma_mm)[INSIDE]) == pytest.approx(10.6, rel=0.1)
     assert (stray[INSIDE] > 3.0 * rec.sigma_mm[INSIDE]).mean() > 0.95
     assert (stray[outside] > 0.25 * rec.sigma_mm[outside]).mean() < 0.03
     assert rec.valid[INSIDE].all()
@@ -111,15 +138,17 @@ def test_indirect_light_widens_sigma_by_the_modulation_it_takes() -> None:
 
 def test_a_third_of_the_modulation_lost_is_stray_and_the_stack_is_in_doubt() -> None:
     made = stack(modulation=patch_loss(lambda period: 0.5 * 16.0 / period))
+    made.frames[..., 5, 5] = 40.0  # A pixel without fringes, as every image has.
     with pytest.warns(FringebenchWarning, match="lose more than a quarter of their modulation"):
         rec = decode.reconstruct(made, uncertainty="by-cause")
     assert (rec.reason[INSIDE] == decode.Reason.STRAY).mean() > 0.98
     assert rec.reason_fractions()["stray"] < 1.2 * (32 * 36) / (96 * 72)
 
 
-def test_blur_takes_modulation_and_moves_no_phase() -> None:
+@pytest.mark.parametrize("left", [0.8, 0.6])
+def test_blur_takes_modulation_and_moves_no_phase(left: float) -> None:
     # A Gaussian's loss grows with frequency squared: 1/25 of the finest's from 80 px.
-    blurred = stack(modulation=patch_loss(lambda period: 1.0 - 0.6 ** ((16.0 / period) ** 2)))
+    blurred = stack(modulation=patch_loss(lambda period: 1.0 - left ** ((16.0 / period) ** 2)))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         rec = decode.reconstruct(blurred, uncertainty="by-cause")
@@ -147,6 +176,17 @@ def test_projectors_that_disagree_widen_sigma() -> None:
     assert (error > 5.0 * joined.sigma_mm)[second].all()
     # Five sigma of noise on top of the offset: 1 pixel in 3 million.
     assert (error > 5.0 * joined.total_sigma_mm)[second].sum() == 0
+
+
+def test_losses_are_counted_from_the_best_quarter_at_each_frequency() -> None:
+    rng = np.random.default_rng(2)
+    frequency = rng.uniform(0.05, 0.2, (120, 160)).astype(np.float32)
+    lost = rng.uniform(0.0, 0.2, frequency.shape)
+    visibility = (np.exp(-0.1 - 2.0 * frequency) * (1.0 - lost)).astype(np.float32)
+    below = _below_best(visibility, frequency, np.ones(frequency.shape, bool))
+    # A quarter loses less than 0.05. Of 16000 pixels, that quantile has a standard error of 0.2 sqrt(3/16 / 16000) = 0.0007,
+    # and 0.0012 more at the ends of the frequencies, whose outermost 0.5 % are taken as the end.
+    np.testing.assert_allclose(below, 1.0 - (1.0 - lost) / 0.95, atol=0.01)
 
 
 def test_one_period_is_judged_by_its_own_visibility() -> None:
