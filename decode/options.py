@@ -24,6 +24,7 @@ Anchor = Literal["gray", "volume", "field", "spatial"]
 Height = Literal[
     "triangulation", "reference-plane", "linear", "phase", "two-positions", "integration"
 ]
+Matcher = Literal["sgbm", "bm"]
 Saturation = Literal["reject", "ignore"]
 Gamma = float | Literal["estimate"]
 Backend = Literal["llvm", "cuda"]
@@ -92,6 +93,8 @@ class Options:
     uncertainty: Uncertainty = "sensor"
     """by-cause: also look for mixed pixels and indirect light, reject what they spoil, and give a sigma for each; see
     `Reconstruction.total_sigma_mm`."""
+    matcher: Matcher | None = None
+    """For two cameras without fringes: semi-global or plain block matching. None: sgbm."""
     backend: Backend | None = None
     """None: CUDA where there is a device."""
 
@@ -247,5 +250,6 @@ CHOICES: dict[str, tuple[str | None, ...]] = {
     "height": (None, *get_args(Height)),
     "axis": (None, *get_args(Axis)),
     "uncertainty": get_args(Uncertainty),
+    "matcher": (None, *get_args(Matcher)),
     "backend": (None, *get_args(Backend)),
 }

@@ -1,5 +1,7 @@
 """Stack to reconstruction: which way of decoding a stack needs."""
 
+from dataclasses import fields, replace
+
 from decode.deflectometry import decode_mirror, require_projectors
 from decode.fusion.interface import FusionRule
 from decode.one_camera import decode_fringes
@@ -8,6 +10,7 @@ from decode.options import (
     Backend,
     Gamma,
     Height,
+    Matcher,
     Options,
     Roi,
     Saturation,
@@ -16,9 +19,16 @@ from decode.options import (
     known_options,
 )
 from decode.reconstruction import Reconstruction
+from decode.stereo_phase import stereo
+from decode.stereo_texture.matching import match
 from scenes.acquisition.fringe_fit import STRAY_FRACTION
 from scenes.acquisition.patterns import Axis
 from scenes.files.stack import Stack
+from scenes.rig.devices import Pinhole
+from scenes.support.errors import DecodeError
+
+# Frames that give a pixel no projector coordinate.
+UNCODED = ("dots", "white", "black")
 
 
 @known_options
@@ -43,6 +53,7 @@ def reconstruct(
     min_relative_modulation: float = STRAY_FRACTION,
     max_order_residual: float = 0.25,
     uncertainty: Uncertainty = "sensor",
+    matcher: Matcher | None = None,
     backend: Backend | None = None,
 ) -> Reconstruction:
     """Decode a stack into heights.
@@ -51,7 +62,7 @@ def reconstruct(
     ----------
     stack
         Frames (exposure, frame, row, col) in digital numbers, their patterns and the sensor; with a calibration,
-        heights are triangulated.
+        heights are triangulated. Stacks of two cameras are decoded as stereo: by phase, or without fringes by texture.
     fusion
         How several exposures become one phase: a name from `decode.rules`, or a `FusionRule`.
     exposure
@@ -94,6 +105,8 @@ def reconstruct(
     uncertainty
         ``"by-cause"``: also look for mixed pixels and indirect light, reject what they spoil (`mixed`, `stray`), and
         predict their share in `Reconstruction.total_sigma_mm`.
+    matcher
+        ``"sgbm"`` or ``"bm"``, for two cameras without fringes: semi-global or plain block matching. None: sgbm.
     backend
         ``"llvm"`` or ``"cuda"``. None: CUDA where there is a device.
 
@@ -147,6 +160,7 @@ def reconstruct(
             min_relative_modulation=min_relative_modulation,
             max_order_residual=max_order_residual,
             uncertainty=uncertainty,
+            matcher=matcher,
             backend=backend,
         ),
     )
@@ -167,7 +181,55 @@ def reconstruct_with(stack: Stack, options: Options) -> Reconstruction:
     Reconstruction
         Images (row, col); heights in mm.
     """
+    if any(frame.camera for frame in stack.patterns):
+        return _pair(stack, options)
+    if all(frame.kind in UNCODED for frame in stack.patterns):
+        raise DecodeError(
+            f"the frames are {stack.patterns[0].kind}, which give no height with one camera: add a second_camera, or project fringes"
+        )
     if stack.calibration is not None and stack.calibration.screens:
         return decode_mirror(stack, options)
+    if options.matcher is not None:
+        raise DecodeError("matcher is for stacks of two cameras without fringes: leave it out")
     require_projectors(options)
     return decode_fringes(stack, options)
+
+
+def _pair(stack: Stack, options: Options) -> Reconstruction:
+    """Stereo, by phase where there are fringes or Gray code, else by texture."""
+    rig = stack.calibration
+    if rig is None or rig.second_camera is None or not isinstance(rig.camera, Pinhole):
+        raise DecodeError(
+            "the frames are of two cameras, but the calibration is not: give one with a second_camera, both of model 'pinhole'"
+        )
+    given = ("c_px_per_mm", "reference", "axis", "projector", "height")
+    for name in given:
+        value = getattr(options, name)
+        if value is not None and (name, value) != ("height", "triangulation"):
+            raise DecodeError(f"{name} does not apply to stacks of two cameras: leave it out")
+    heights = options.height_range_mm or rig.height_range_mm
+    cameras = rig.camera, rig.second_camera
+    left, right = (_view(stack, camera) for camera in (0, 1))
+    if all(frame.kind in UNCODED for frame in left.patterns):
+        found = match(left, right, cameras, heights, options)
+    else:
+        if options.matcher is not None:
+            raise DecodeError("matcher is for pictures without fringes: leave it out")
+        shared = {f.name: getattr(options, f.name) for f in fields(options)}
+        unused = (*given, "height_range_mm", "matcher")
+        choices = {name: value for name, value in shared.items() if name not in unused}
+        found = stereo(left, right, cameras, heights, **choices)
+    return replace(found, calibration=rig)
+
+
+def _view(stack: Stack, camera: int) -> Stack:
+    """The frames of one camera of a pair."""
+    at = [i for i, frame in enumerate(stack.patterns) if frame.camera == camera]
+    if not at or at != list(range(at[0], at[-1] + 1)):
+        raise DecodeError(
+            f"frames of camera {camera} are missing or scattered: a stack holds those of one camera after the other's"
+        )
+    own = tuple(replace(stack.patterns[i], camera=0) for i in at)
+    return replace(
+        stack, frames=stack.frames[:, at[0] : at[-1] + 1], patterns=own, calibration=None
+    )

@@ -27,14 +27,17 @@ class Reason(IntEnum):
     ORDER_UNKNOWN = 9
     """The fringe order is known only up to whole turns, so the height may be off by whole fringes: nothing measured fixes
     it, and `reconstruct` was not asked to scan (``unwrap``, or ``anchor="spatial"``)."""
-    NO_IMAGE = 10
-    """The surface sends light of the screen to the camera but shows no image of it: the contrast of the finest fringes is
-    lost, as by a matt surface, which mixes light of the whole screen."""
-
     MIXED = 10
     """The pixel sees two heights, and reports one that is neither: see `decode.validity.error_causes`."""
     STRAY = 11
     """A third or more of the fine fringes' modulation is lost to light that came by way of other surfaces."""
+    NO_IMAGE = 12
+    """The surface sends light of the screen to the camera but shows no image of it: the contrast of the finest fringes is
+    lost, as by a matt surface, which mixes light of the whole screen."""
+    NO_TEXTURE = 13
+    """Stereo: brightness changes no more than noise does, so nothing can be matched."""
+    NO_MATCH = 14
+    """Stereo: no place of the second picture looks alike, several do, or the second camera does not see the point."""
 
     @property
     def label(self) -> str:

@@ -29,6 +29,8 @@ from scenes.support.errors import RenderError, SceneError
 
 # Pixels a thread computes at once: their numbers stay in its cache.
 BLOCK = 1 << 15
+# Added to seeds for the second camera, whose noise is its own: beyond the seeds of data sets.
+SECOND_CHIP = 2**40
 
 
 def expose(
@@ -79,7 +81,7 @@ def expose(
     Returns
     -------
     Stack
-        Frames (exposure, frame, row, col) in DN, in the sensor's type. `scene` is the TOML with the replacements above;
+        Frames (exposure, frame, row, col) in DN, in the sensor's type; those of a second camera last. `scene` is the TOML with the replacements above;
         `exposure_ms` are the times used.
 
     Raises
@@ -111,6 +113,7 @@ def expose(
             "patterns": patterns or scene.patterns,
             "exposures": _exposures(exposures) or scene.exposures,
             "camera": _coarser(scene.camera, subpixels),
+            "second_camera": scene.second_camera and _coarser(scene.second_camera, subpixels),
             "sampling": Sampling(
                 samples=transport.samples, depth=1 if direct_only else transport.depth
             ),
@@ -123,29 +126,18 @@ def expose(
     ]
     image = Image.of(transport, scene.sensor, subpixels)
     times_ms = exposure_times_ms(image, transport.labels, shown, scene.exposures, scene.sensor)
-    if direct_only:
-        image = Image.of(transport, scene.sensor, subpixels, direct_only)
     still = is_steady(scene) or steady is True
     steady = still or (not noise if steady is None else steady)
-    rising = None
-    if scene.vibration_um and not steady:
-        rising = Image.of(slope or height_slope(transport), scene.sensor, subpixels, direct_only)
-    speckles = not steady and any(p.speckle_contrast for p in scene.projectors)
-
-    def at_work(image: Image) -> Image:
-        image = replace(image, slope=rising)
-        return speckled(image, scene, seed) if speckles else image
-
-    image = at_work(image)
+    views = [transport] if transport.second is None else [transport, transport.second]
     height, width = image.ambient.shape
-    shape = (len(times_ms), len(shown), height * width)
+    shape = (len(times_ms), len(views) * len(shown), height * width)
     frames = mapped.array(
         shape,
         scene.sensor.dtype,
         f"{shape[0]} exposures of {shape[1]} frames of {width} x {height} pixels",
         "take fewer exposures at a time, or a smaller camera.resolution",
     )
-    seeds = (seed, chip_seed) if noise else None
+    # Both cameras of a pair take a picture at one moment.
     moments = [
         [
             STEADY if still else moment(scene, seed, e, f, projector, time_ms, random=not steady)
@@ -163,24 +155,36 @@ def expose(
         for f, (_, row) in enumerate(shown)
     ]
     projectors = [projector for projector, _ in shown]
-    pictures: Iterator[Image] | None = None
-    if any(scene.conveyor_um) and not still:
-        lights = moved or conveyed(transport, [p for p in projectors for _ in times_ms])
-        pictures = (
-            at_work(Image.of(light, scene.sensor, subpixels, direct_only)) for light in lights
+    for number, view in enumerate(views):
+        own = seed + number * SECOND_CHIP
+        rising = None
+        if scene.vibration_um and not steady:
+            change = height_slope(view) if number or slope is None else slope
+            rising = Image.of(change, scene.sensor, subpixels, direct_only)
+
+        def at_work(light: Transport, rising: Image | None = rising, own: int = own) -> Image:
+            image = Image.of(light, scene.sensor, subpixels, direct_only)
+            image = replace(image, slope=rising)
+            speckles = not steady and any(p.speckle_contrast for p in scene.projectors)
+            return speckled(image, scene, own) if speckles else image
+
+        pictures: Iterator[Image] | None = None
+        if any(scene.conveyor_um) and not still:
+            order = [p for p in projectors for _ in times_ms]
+            lights = conveyed(view, order) if number or not moved else moved
+            pictures = map(at_work, lights)
+        _fill(
+            frames[:, number * len(shown) : (number + 1) * len(shown)],
+            at_work(view),
+            pictures,
+            projectors,
+            weights,
+            times_ms,
+            scene.sensor,
+            (own, chip_seed + number * SECOND_CHIP) if noise else None,
+            moments,
+            _shared(progress, number, len(views)),
         )
-    _fill(
-        frames,
-        image,
-        pictures,
-        projectors,
-        weights,
-        times_ms,
-        scene.sensor,
-        seeds,
-        moments,
-        progress,
-    )
     return Stack(
         frames.reshape(*shape[:2], height, width),
         scene.frames,
@@ -190,6 +194,13 @@ def expose(
         dumps(scene),
         int(seed) if noise else None,
     )
+
+
+def _shared(
+    progress: Callable[[float], None] | None, number: int, count: int
+) -> Callable[[float], None] | None:
+    """Progress of one of several cameras as that of all."""
+    return progress and (lambda share: progress((number + share) / count))
 
 
 def _fill(

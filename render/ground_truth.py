@@ -73,7 +73,8 @@ def truth(
     Notes
     -----
     A camera or projector with a lens is represented by the centre of its pupil. `lit` is true if a point is inside the
-    projector's image, the side seen by the camera faces the projector, and no triangle is between. Normals are those of
+    projector's image, the side seen by the camera faces the projector, and no triangle is between; with a second camera, if that
+    camera sees it as well. Normals are those of
     the triangles, also where shading is smooth; in a scene with a screen those of the shading, which mirror. There, `lit`
     and the projector's pixel are those that the camera's ray meets if the surface mirrors it, whatever the material.
 
@@ -109,6 +110,7 @@ def truth(
 
 def _truth(scene: Scene, surface: "_Surface", camera: Projection, transport: Transport) -> Truth:
     projectors = scene.projectors
+    second = None if scene.second_camera is None else scene.second_camera.projection()
     pixels = camera.pixel_centres().reshape(-1, 2)
     count, shape = len(pixels), (camera.height, camera.width)
 
@@ -146,6 +148,8 @@ def _truth(scene: Scene, surface: "_Surface", camera: Projection, transport: Tra
                 projection.project(point + step * direction[hit])[0] - where
             ).T / SLOPE_MM
             lit[p, at] = surface.lit(point, facing, where, projection)
+        if second is not None:
+            lit[:, at] &= surface.lit(point, facing, second.project(point)[0], second)
     label = label.reshape(shape)
     return Truth(
         xyz.reshape(*shape, 3),
@@ -350,5 +354,5 @@ def _white(scene: Scene) -> Scene:
 
 
 def _same_light(scene: Scene, other: Scene) -> bool:
-    keys = ("camera", "projectors", "objects", "board", "materials")
+    keys = ("camera", "second_camera", "projectors", "objects", "board", "materials")
     return all(getattr(scene, key) == getattr(other, key) for key in keys)

@@ -20,6 +20,8 @@ from scenes.support.notebook import Displayed, Plane
 from scenes.support.validation_words import in_words
 
 KIND = "transport"
+# What the names of the second camera's layers start with.
+SECOND = "second."
 # A ratio that was reached may miss its target by so much, its own uncertainty, and count as met.
 TOLERANCE = 1.05
 
@@ -101,6 +103,8 @@ class Transport(Displayed):
     order of `render.fringe_phasor.finest_fringes`; NaN where a pixel has no fringe. None: not known."""
     render_noise: RenderNoise | None = None
     """Of a trace that was to bring it below a share of the sensor's noise."""
+    second: "Transport | None" = None
+    """What the second camera of a pair receives; its `scene` has that camera alone."""
 
     @property
     def render_noise_rad(self) -> NDArray[np.float32] | None:
@@ -159,21 +163,14 @@ class Transport(Displayed):
         return frames
 
     def write(self, path: str | Path) -> None:
-        """Write as EXR: ``P<projector>.total.C<channel>``, ``P<projector>.direct.C<channel>``, ``ambient``, ``label``.
+        """Write as EXR: ``P<projector>.total.C<channel>``, ``P<projector>.direct.C<channel>``, ``ambient``, ``label``;
+        the same after ``second.`` for a second camera.
 
         Float32 without loss: half would cost up to 7e-4 rad of phase.
         """
-        channels: dict[str, NDArray[Any]] = {
-            "ambient": self.ambient,
-            "label": self.label.astype(np.uint32),
-        }
-        for p, basis in enumerate(self.bases):
-            for c in range(len(basis.channels)):
-                channels[f"P{p}.total.C{c:03d}"] = self.total[p, c]
-                channels[f"P{p}.direct.C{c:03d}"] = self.direct[p, c]
-        for (f, p), name in self._noise_layers().items():
-            assert self.noise_rad is not None
-            channels[name] = self.noise_rad[f, p]
+        channels = self._layers()
+        if self.second is not None:
+            channels |= {f"{SECOND}{n}": layer for n, layer in self.second._layers().items()}
         meta = {
             "units": {
                 "total": "W/(m^2 sr)",
@@ -198,6 +195,21 @@ class Transport(Displayed):
         }
         exr.write(path, KIND, channels, meta)
 
+    def _layers(self) -> dict[str, NDArray[Any]]:
+        """The images of one camera, by name."""
+        channels: dict[str, NDArray[Any]] = {
+            "ambient": self.ambient,
+            "label": self.label.astype(np.uint32),
+        }
+        for p, basis in enumerate(self.bases):
+            for c in range(len(basis.channels)):
+                channels[f"P{p}.total.C{c:03d}"] = self.total[p, c]
+                channels[f"P{p}.direct.C{c:03d}"] = self.direct[p, c]
+        for (f, p), name in self._noise_layers().items():
+            assert self.noise_rad is not None
+            channels[name] = self.noise_rad[f, p]
+        return channels
+
     def _noise_layers(self) -> dict[tuple[int, int], str]:
         """Number of fringe and projector -> layer of `noise_rad`."""
         return {} if self.noise_rad is None else noise_layers(self.scene, self.bases)
@@ -220,24 +232,35 @@ class Transport(Displayed):
                     for stored in meta["bases"]
                 )
                 scene = parse(str(meta["scene"]), where=str(path))
-                light, ambient, label, noise = _images(
-                    bands, bases, noise_layers(scene, bases), f"'{path}'"
-                )
-                return cls(
-                    light[0],
-                    light[1],
-                    ambient,
-                    label,
-                    tuple(str(label) for label in meta["labels"]),
-                    bases,
-                    scene,
-                    int(meta["seed"]),
-                    sampling.samples,
-                    sampling.depth,
+                limits = (
                     _phase_error(meta.get("phase_error")),
-                    noise,
                     _render_noise(meta.get("render_noise")),
                 )
+
+                def view(scene: Scene, prefix: str = "", second: Self | None = None) -> Self:
+                    layers = noise_layers(scene, bases)
+                    light, ambient, label, noise = _images(
+                        bands, bases, layers, f"'{path}'", prefix
+                    )
+                    return cls(
+                        light[0],
+                        light[1],
+                        ambient,
+                        label,
+                        tuple(str(label) for label in meta["labels"]),
+                        bases,
+                        scene,
+                        int(meta["seed"]),
+                        sampling.samples,
+                        sampling.depth,
+                        None if prefix else limits[0],
+                        noise,
+                        None if prefix else limits[1],
+                        second,
+                    )
+
+                pair = scene.second_camera is not None
+                return view(scene, second=view(scene.second_view(), SECOND) if pair else None)
             except (KeyError, TypeError, ValueError, SceneError) as error:
                 raise FileError(
                     f"'{path}': its transport header or channels are damaged: {in_words(error)}"
@@ -259,13 +282,17 @@ def noise_layers(scene: Scene, bases: Sequence[Basis]) -> dict[tuple[int, int], 
 
 
 def _images(
-    bands: Bands, bases: Sequence[Basis], layers: Mapping[tuple[int, int], str], source: str
+    bands: Bands,
+    bases: Sequence[Basis],
+    layers: Mapping[tuple[int, int], str],
+    source: str,
+    prefix: str = "",
 ) -> tuple[
     NDArray[np.float32], NDArray[np.float32], NDArray[np.uint16], NDArray[np.float32] | None
 ]:
     """Light (total and direct, projector, channel, row, col), ambient light, labels, and noise in those layers, if any.
 
-    Raises `KeyError` if one of the others is missing.
+    All names start with `prefix`. Raises `KeyError` if one of the others is missing.
     """
     noise: NDArray[np.float32] | None = None
     most = max(len(basis.channels) for basis in bases)
@@ -281,15 +308,15 @@ def _images(
             for p, basis in enumerate(bases):
                 images[p, len(basis.channels) :, rows] = 0.0
                 for c in range(len(basis.channels)):
-                    images[p, c, rows] = channels[f"P{p}.{kind}.C{c:03d}"]
-        ambient[rows] = channels["ambient"]
-        label[rows] = exr.whole(channels["label"], np.uint16)
-        if layers and all(name in channels for name in layers.values()):
+                    images[p, c, rows] = channels[f"{prefix}P{p}.{kind}.C{c:03d}"]
+        ambient[rows] = channels[f"{prefix}ambient"]
+        label[rows] = exr.whole(channels[f"{prefix}label"], np.uint16)
+        if layers and all(prefix + name in channels for name in layers.values()):
             if noise is None:
                 fringes = 1 + max(f for f, _ in layers)
                 noise = np.empty((fringes, len(bases), *bands.size), np.float32)
             for (f, p), name in layers.items():
-                noise[f, p, rows] = channels[name]
+                noise[f, p, rows] = channels[prefix + name]
         mapped.release_pages(light)
     assert light is not None  # an image has a row
     return light, ambient, label, noise

@@ -45,12 +45,14 @@ require_address_space()
 
 from scenes.acquisition.pattern_basis import Basis, Channel, basis
 from scenes.acquisition.patterns import (
+    EvenLight,
     Frame,
     GrayBits,
     GrayCode,
     ModulatedPhaseShift,
     PatternSeries,
     PhaseShift,
+    RandomDots,
     UnevenSteps,
 )
 from scenes.acquisition.sensor import Emva, Sensor, SimpleSensor
@@ -78,7 +80,7 @@ from scenes.scene import Ambient, AutoExposure, Exposures, Object, Sampling, Sce
 from scenes.scene_files import dumps, load, parse, save, schema, shipped, source
 from scenes.scene_meshes import Part, meshes, parts
 from scenes.shapes.grains import Grains
-from scenes.shapes.materials import Conductor, Dielectric, Diffuse, Glossy
+from scenes.shapes.materials import Conductor, Dielectric, Diffuse, Glossy, Printed
 from scenes.shapes.solids import Box, Cap, Disk, Hole, MeshFile, Plate, Tiles
 from scenes.support.distribution import (
     Choice,
@@ -107,11 +109,11 @@ from scenes.support.errors import (
 __all__ = [
     "Ambient", "AutoExposure", "BackendError", "Basis", "BoardTruth", "Box", "Calibration", "Cap",
     "Capture", "Channel", "Choice", "Conductor", "Constant", "DatasetError", "DecodeError",
-    "DecoderError", "Dielectric", "Diffuse", "Disk", "Emva", "Exposures", "Extrinsics", "FileError",
+    "DecoderError", "Dielectric", "Diffuse", "Disk", "Emva", "EvenLight", "Exposures", "Extrinsics", "FileError",
     "Frame", "FringebenchError", "FringebenchWarning", "GerberBoard", "Glossy", "Grains",
     "GrayBits", "GrayCode", "Hole", "IlluminationMap", "ImpossibleError", "LogNormal", "LookAt", "MeshError",
     "MeshFile", "ModulatedPhaseShift", "Normal", "Object", "PadTruth", "ParametricBoard", "Part", "PatternSeries", "PhaseShift", "Pinhole",
-    "PinholeLens", "PinholeProjector", "Plate", "Projection", "RenderError", "Sampling", "Scene",
+    "PinholeLens", "PinholeProjector", "Plate", "Printed", "Projection", "RandomDots", "RenderError", "Sampling", "Scene",
     "SceneError", "ScoreError", "Screen", "Sensor", "SimpleSensor", "Stack", "Telecentric", "TelecentricLens",
     "TelecentricProjector", "Tiles", "TooLargeError", "TruncatedNormal", "Truth", "UnevenSteps", "Uniform",
     "basis", "board_truth", "coco", "dumps", "gerber", "load", "meshes", "parse", "parts",

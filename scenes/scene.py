@@ -1,17 +1,18 @@
 """A scene: everything that determines what the camera sees. Frozen and validated."""
 
-from typing import Annotated, Literal, Self
+from dataclasses import replace
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
-from scenes.acquisition.patterns import Frame, Patterns
+from scenes.acquisition.patterns import EvenLight, Frame, Patterns, RandomDots
 from scenes.acquisition.sensor import Sensor, SimpleSensor
 from scenes.board.board import Board
 from scenes.rig.calibration import Calibration
-from scenes.rig.devices import Vector
+from scenes.rig.devices import Pinhole, Vector
 from scenes.rig.projectors import Camera, Projector, Screen, require_one_kind
 from scenes.shapes.materials import LIBRARY, Material
 from scenes.shapes.solids import Shape
@@ -145,6 +146,9 @@ class Scene(Frozen):
     """One line on what the scene shows."""
     camera: Camera
     """The camera that takes the frames."""
+    second_camera: Pinhole | None = None
+    """A second camera that takes the same frames at the same time, for stereo; heights are those of `camera`'s pixels. Both are
+    pinhole cameras of one resolution, which need be given for `camera` only."""
     projectors: Annotated[tuple[Projector, ...], Field(min_length=1, max_length=16)]
     """Each shows all patterns, one projector after the other; or one or two positions of a screen."""
     objects: tuple[Object, ...] = ()
@@ -178,8 +182,25 @@ class Scene(Frozen):
     def calibration(self) -> Calibration:
         """The perfect calibration of this scene's rig."""
         return Calibration(
-            camera=self.camera, projectors=self.projectors, height_range_mm=self.height_range_mm
+            camera=self.camera,
+            projectors=self.projectors,
+            height_range_mm=self.height_range_mm,
+            second_camera=self.second_camera,
         )
+
+    def second_view(self) -> "Scene":
+        """What the second camera sees, as a scene of one camera."""
+        return self.model_copy(update={"camera": self.second_camera, "second_camera": None})
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_resolution(cls, tree: Any) -> Any:
+        """The second camera's resolution is the camera's."""
+        if isinstance(tree, dict):
+            one, two = tree.get("camera"), tree.get("second_camera")
+            if isinstance(one, dict) and isinstance(two, dict) and "resolution" in one:
+                return tree | {"second_camera": {"resolution": one["resolution"]} | two}
+        return tree
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -206,7 +227,46 @@ class Scene(Frozen):
         require_one_kind(self.projectors)
         for index, projector in enumerate(self.projectors):
             self._check_rig(index, projector)
+        self._check_pair()
         return self
+
+    def _check_pair(self) -> None:
+        second = self.second_camera
+        alone = isinstance(self.patterns, RandomDots | EvenLight)
+        if second is None:
+            if alone:
+                raise ValueError(
+                    f"patterns of kind '{self.patterns.kind}' need a second_camera: with one camera no height can be measured from "
+                    "them; add one, or use phase-shift"
+                )
+            return
+        if not isinstance(self.camera, Pinhole):
+            raise ValueError(  # noqa: TRY004
+                "second_camera needs a camera of model 'pinhole': stereo of telecentric cameras is not supported"
+            )
+        if second.resolution != self.camera.resolution:
+            raise ValueError(
+                f"second_camera has resolution {list(second.resolution)}, camera {list(self.camera.resolution)}: give both the same"
+            )
+        one, two = self.camera.projection(), second.projection()
+        if np.linalg.norm(one.origin_mm - two.origin_mm) < 1e-6:
+            raise ValueError(
+                "second_camera is where camera is, so no height can be measured: move one of them"
+            )
+        if one.axis @ two.axis < 0.5:
+            raise ValueError(
+                "camera and second_camera look more than 60 degrees apart: turn them towards one place"
+            )
+        if isinstance(self.projectors[0], Screen):
+            raise ValueError(  # noqa: TRY004
+                "a screen serves one camera: leave second_camera out"
+            )
+        dotted = isinstance(self.patterns, RandomDots)
+        for index, projector in enumerate(self.projectors):
+            if dotted and (projector.fill_factor is not None or projector.psf_sigma_px > 0.0):
+                raise ValueError(
+                    f"projector {index} has fill_factor or psf_sigma_px, which random dots do not have: leave them out"
+                )
 
     def _check_rig(self, index: int, projector: Projector) -> None:
         if isinstance(projector, Screen):
@@ -240,5 +300,10 @@ class Scene(Frozen):
 
     @property
     def frames(self) -> tuple[Frame, ...]:
-        """All frames of all projectors, in the order shown."""
-        return self.patterns.frames(len(self.projectors))
+        """All frames of all projectors, in the order shown; then those of the second camera."""
+        shown = self.patterns.frames(len(self.projectors))
+        return (
+            shown
+            if self.second_camera is None
+            else (*shown, *(replace(f, camera=1) for f in shown))
+        )

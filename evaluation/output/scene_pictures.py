@@ -45,19 +45,22 @@ def scene_picture(stack: Stack, truth: Truth) -> Figure:
 
 
 def frames_picture(stack: Stack) -> Figure:
-    """The first frame of every exposure, in DN on one scale; saturated pixels are orange."""
-    shown = list(range(len(stack.exposure_ms)))[:FRAMES_SHOWN]
+    """The first frame of every exposure and camera, in DN on one scale; saturated pixels are orange."""
+    cameras = [frame.camera for frame in stack.patterns]
+    firsts = {c: cameras.index(c) for c in sorted(set(cameras))}
     limits = gray_limits(stack)
     panels = [
         Panel(
-            f"{stack.exposure_ms[k]:.3g} ms, {100 * float((stack.frames[k, 0] >= stack.saturation_dn).mean()):.1f} % saturated",
-            stack.frames[k, 0],
+            f"{f'camera {c + 1}, ' if len(firsts) > 1 else ''}{stack.exposure_ms[k]:.3g} ms, "
+            f"{100 * float((stack.frames[k, f] >= stack.saturation_dn).mean()):.1f} % saturated",
+            stack.frames[k, f],
             "DN",
             CLIPPED,
             limits,
         )
-        for k in shown
-    ]
+        for k in range(len(stack.exposure_ms))
+        for c, f in firsts.items()
+    ][:FRAMES_SHOWN]
     return contact_sheet(panels, columns=min(3, len(panels)), thumb_px=400)
 
 
@@ -84,7 +87,7 @@ def _radiance(stack: Stack) -> NDArray[np.float64]:
     order = np.argsort(stack.exposure_ms)
     light: NDArray[np.float64] | None = None
     for k in order:
-        frames = stack.frames[k]
+        frames = stack.frames[k, : sum(frame.camera == 0 for frame in stack.patterns)]
         here = (
             frames.mean(axis=0, dtype=np.float64) - stack.sensor.black_level_dn
         ) / stack.exposure_ms[k]

@@ -12,7 +12,7 @@ from scenes.support.errors import ScoreError
 from scenes.support.safe_parse import parse_toml
 
 # Parts of a scene that the truth depends on; patterns, sensor, exposures and light paths may differ.
-PARTS = ("camera", "projectors", "objects", "board", "materials")
+PARTS = ("camera", "second_camera", "projectors", "objects", "board", "materials")
 # Unit that heights may be in by mistake -> its size in mm.
 UNITS_MM = {"metres": 1000.0, "inches": 25.4, "micrometres": 0.001}
 # Heights above this share of the highest show the unit; those near zero look the same in every unit.

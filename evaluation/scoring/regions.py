@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from decode import Reconstruction
+from evaluation.scoring.disparity import DisparityScore, disparity_scores
 from evaluation.scoring.feature_fits import Feature, features
 from evaluation.scoring.identity import differing_parts, other_unit
 from evaluation.scoring.slope_scores import SlopeScore, slope_scores
@@ -89,6 +90,8 @@ class Score(Displayed):
     """Parts of the scene in which reconstruction and truth differ, where they were scored by force."""
     slopes: Mapping[str, SlopeScore] | None = None
     """Slopes by label, of deflectometry; None: not measured."""
+    stereo: Mapping[str, DisparityScore] | None = None
+    """Of two cameras: shares of bad matches by label."""
 
     def _facts(self) -> dict[str, str]:
         def of(value: float | None) -> str:
@@ -125,6 +128,7 @@ class Score(Displayed):
             "unlit": asdict(self.unlit),
             **light,
             **({"slopes": {k: asdict(v) for k, v in self.slopes.items()}} if self.slopes else {}),
+            **({"stereo": {n: asdict(s) for n, s in self.stereo.items()}} if self.stereo else {}),
             **({"forced": list(self.forced)} if self.forced else {}),
         }
 
@@ -209,9 +213,14 @@ def score(
             stacklevel=2,
         )
     masks = {label: scored(truth, label, margin_px) for label in truth.labels}
-    slopes = slope_scores(rec, truth, masks)
     return Score(
-        _name(truth), regions, features(measured, truth), shade, forced=parts, slopes=slopes
+        _name(truth),
+        regions,
+        features(measured, truth),
+        shade,
+        forced=parts,
+        slopes=slope_scores(rec, truth, masks),
+        stereo=disparity_scores(rec, truth, masks),
     )
 
 

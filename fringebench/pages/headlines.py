@@ -13,12 +13,16 @@ from fringebench.pages.score_tables import number
 TOLERATED = 1.5
 # Coverage below which the RMS error of a strategy is not comparable: it is of the easier pixels.
 COVERED = 0.95
+# Share of missing or wrong matches above which a region is called badly matched.
+BAD_MATCHES = 0.15
 
 
 def run_headline(score: evaluation.Score, naive: evaluation.Score, exposures: int) -> Headline:
     """How far errors exceed the predicted noise, decoded properly and naively."""
     fused = _excess(score)
     bad = {label: ratio for label, ratio in fused.items() if ratio > TOLERATED}
+    if score.stereo and not fused:
+        return _stereo_headline(score)
     if not fused:
         return Headline("No region has an error to judge: see why pixels were rejected.", "bad")
     how = "All exposures fused" if exposures > 1 else "Saturated pixels rejected"
@@ -33,6 +37,16 @@ def run_headline(score: evaluation.Score, naive: evaluation.Score, exposures: in
             f" One exposure with saturation ignored: {_worst(naive, silent)}, without a warning."
         )
     return Headline(text, "bad" if bad else "attention" if silent else "good")
+
+
+def _stereo_headline(score: evaluation.Score) -> Headline:
+    """The region with the most missing or wrong matches; no sigma is predicted that errors could be compared with."""
+    bad = {n: s.bad_1px for n, s in (score.stereo or {}).items() if s.bad_1px is not None}
+    if not bad:
+        return Headline("Both cameras see no region together.", "bad")
+    worst = max(bad, key=bad.__getitem__)
+    text = f"Missing or off by more than 1 px of disparity: at most {number(bad[worst], 100, 1)} % of the pixels ({worst})."
+    return Headline(text, "bad" if bad[worst] > BAD_MATCHES else "good")
 
 
 def compare_headline(result: StrategyComparison) -> Headline:

@@ -20,7 +20,7 @@ from fringebench.experiments.whole_run import Run
 from fringebench.pages.figure_tables import grid
 from fringebench.pages.headlines import run_headline
 from fringebench.pages.origin import provenance
-from fringebench.pages.score_tables import feature_table, fused_title, score_rows
+from fringebench.pages.score_tables import extra_tables, fused_title, score_rows
 
 SCORE_COLUMNS = (
     "region", "pixels", "valid %", "bias µm", "RMS µm", "predicted µm", "p95 µm", "outliers %",
@@ -43,7 +43,6 @@ def run_report(run: Run, spent: Mapping[str, float]) -> Report:
     rec, truth, stack = run.reconstruction, run.truth, run.stack
     drawn = figures(rec, truth)
     profiles = [name for name in drawn if name.startswith("profile-")]
-    wrapped, absolute = phase_figures(rec)
     measured = [
         Picture(drawn[name], CAPTIONS[name])
         for name in ("modulation", "sigma", "render_noise")
@@ -74,18 +73,15 @@ def run_report(run: Run, spent: Mapping[str, float]) -> Report:
                     ),
                     Picture(
                         frames_picture(stack),
-                        "The first frame of each exposure; saturated pixels are orange.",
-                        wide=len(stack.exposure_ms) > 1,
+                        "The first frame of each exposure and camera; saturated pixels are orange.",
+                        wide=len(stack.exposure_ms) > 1 or run.scene.second_camera is not None,
                     ),
                 ],
             ),
             Section(
-                "Phase and modulation",
+                "Phase and modulation" if rec.phases else "Matches",
                 [
-                    Picture(wrapped, "Phase of the finest fringes, before unwrapping."),
-                    Picture(
-                        absolute, "Phase after unwrapping: the projector column seen by each pixel."
-                    ),
+                    *_phases(rec),
                     *measured,
                     Picture(reason_map(rec), "Where heights are given, and why not elsewhere."),
                 ],
@@ -96,6 +92,16 @@ def run_report(run: Run, spent: Mapping[str, float]) -> Report:
             provenance(scenes.dumps(run.scene), stack.seed, spent, run.score.light),
         ],
     )
+
+
+def _phases(rec: decode.Reconstruction) -> list[Block]:
+    if not rec.phases:
+        return []
+    wrapped, absolute = phase_figures(rec)
+    return [
+        Picture(wrapped, "Phase of the finest fringes, before unwrapping."),
+        Picture(absolute, "Phase after unwrapping: the projector column seen by each pixel."),
+    ]
 
 
 def _scores(run: Run) -> list[Block]:
@@ -109,9 +115,7 @@ def _scores(run: Run) -> list[Block]:
             "light paths, which no camera has, with the sensor's."
         ),
     ]
-    if run.score.features:
-        blocks.append(grid(feature_table(run.score)))
-    return blocks
+    return blocks + [grid(table) for table in extra_tables(run.score)]
 
 
 def _score_grid(score: evaluation.Score, caption: str) -> Grid:

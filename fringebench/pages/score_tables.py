@@ -9,6 +9,8 @@ from evaluation.scoring.error_budget import ErrorBudget
 from fringebench.diagnosis import Diagnosis
 from fringebench.pages.figure_tables import figure_table
 
+STEREO_TITLE, STEREO_COLUMNS = "missing or wrong matches", ("bad 1 px %", "bad 2 px %")
+
 
 def fused_title(exposures: int, fusion: str) -> str:
     """Title of the second score table of a run."""
@@ -39,6 +41,14 @@ def score_table(score: evaluation.Score, title: str) -> Table:
     """One row per region: share measured, errors, and the standard deviation predicted."""
     figures = "pixels", "valid %", "bias µm", "RMS µm", "pred. µm", "p95 µm", "outl. %", "rend. ×"
     return figure_table(title, "region", figures, score_rows(score))
+
+
+def stereo_rows(score: evaluation.Score) -> list[list[str]]:
+    """One row per region: label, and the shares of bad matches in %."""
+    return [
+        [label, number(region.bad_1px, 100, 1), number(region.bad_2px, 100, 1)]
+        for label, region in (score.stereo or {}).items()
+    ]
 
 
 def feature_table(score: evaluation.Score) -> Table:
@@ -72,8 +82,10 @@ def slope_rows(score: evaluation.Score) -> list[list[str]]:
 
 
 def extra_tables(score: evaluation.Score) -> list[Table]:
-    """Features and slopes, where there are any."""
+    """Shares of bad matches, features and slopes, where there are any."""
     tables = [feature_table(score)] if score.features else []
+    if score.stereo:
+        tables.insert(0, figure_table(STEREO_TITLE, "region", STEREO_COLUMNS, stereo_rows(score)))
     if score.slopes:
         title = "slopes, and the form without its tilt"
         tables.append(figure_table(title, "region", SLOPE_COLUMNS, slope_rows(score)))

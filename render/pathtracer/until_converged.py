@@ -97,7 +97,7 @@ def trace(
     Returns
     -------
     Transport
-        Radiance (projector, channel, row, col), and in `phase_error` what was reached.
+        Radiance (projector, channel, row, col), and in `phase_error` what was reached; in `second` that of a second camera.
 
     Raises
     ------
@@ -124,6 +124,14 @@ def trace(
     >>> light.phase_error.met, light.phase_error.bound_rad < 0.05
     (True, True)
     """
+    if scene.second_camera is not None:
+        limits = samples, depth, footprint, progress, phase_error_rad
+        alone = scene.model_copy(update={"second_camera": None})
+        views = [
+            trace(view, number, *limits, shared(scene, surfaces), render_noise)
+            for view, number in ((alone, seed), (scene.second_view(), second_seed(seed)))
+        ]
+        return replace(views[0], scene=scene, second=views[1])
     target = phase_error_rad
     if target is None and render_noise is None and samples is None:
         target, render_noise = scene.sampling.phase_error_rad, _wanted_noise(scene)
@@ -166,6 +174,11 @@ def trace(
         found = shared(scene, surfaces)
         watch = _watches(scene.patterns, bases, width * height, int(seed))
         return _refined(one, watch, target, (size, most), progress, int(seed))
+
+
+def second_seed(seed: int) -> int:
+    """Seed of the second camera's light paths: noise that both cameras share would look like texture."""
+    return seed ^ 0x9E3779B9
 
 
 def _wanted_noise(scene: Scene) -> float | None:

@@ -9,6 +9,7 @@ from render.plugins.lens import Optics
 from render.plugins.variant import dr, mi
 from scenes.acquisition.pattern_basis import Channel
 from scenes.acquisition.projector_pixels import across
+from scenes.acquisition.stereo_light import dot_table
 from scenes.rig.projectors import PinholeProjector, Projector, TelecentricProjector
 
 Draw = Callable[[int], Any]
@@ -33,10 +34,7 @@ class Patterned:
             for c in channels
             if c.kind in ("cos", "sin")
         }
-        self.tables = [
-            mi.Float(np.asarray(c.values, dtype=np.float32)) if c.kind == "table" else None
-            for c in channels
-        ]
+        self.tables = [_table(channel) for channel in channels]
         comb = across(device)
         self.comb = None if comb is None else mi.Float(comb.astype(np.float32))
         dr.eval(self.tables, self.comb)
@@ -63,6 +61,8 @@ class Patterned:
         for channel, table in zip(self.channels, self.tables, strict=True):
             if channel.kind == "one":
                 values.append(mi.Float(1))
+            elif channel.kind == "dots":
+                values.append(_dots(table, channel, pixel, active))
             elif channel.kind == "table":
                 value = _read(table, along[channel.axis], channel.cells, active)
                 if self.comb is not None:
@@ -128,6 +128,25 @@ class Light(Patterned):
         if not self.optics.telecentric:
             irradiance /= dr.square(local.z)
         return self.uneven(irradiance, pixel), pixel, lit
+
+
+def _table(channel: Channel) -> Any:
+    """The numbers that a channel is read from; None where it is a formula."""
+    if channel.kind == "dots":
+        seed, share, columns, rows = channel.values
+        return mi.Float(dot_table(int(seed), share, int(columns), int(rows)).ravel())
+    is_table = channel.kind == "table"
+    return mi.Float(np.asarray(channel.values, dtype=np.float32)) if is_table else None
+
+
+def _dots(table: Any, channel: Channel, pixel: Any, active: Any) -> Any:
+    """Value of the dot that a continuous pixel is in."""
+    columns, rows = (int(n) for n in channel.values[2:])
+    at = [
+        dr.clip(mi.Int32(dr.floor(u / channel.period_px)), 0, count - 1)
+        for u, count in ((pixel.x, columns), (pixel.y, rows))
+    ]
+    return dr.gather(mi.Float, table, mi.UInt32(at[1] * columns + at[0]), active)
 
 
 def _read(table: Any, pixel: Any, cells: int, active: Any, wrap: bool = False) -> Any:

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import trimesh
 
 from render.plugins.camera_sensor import camera_plugin
 from render.plugins.projector_emitter import projector_plugin
@@ -15,11 +14,13 @@ from scenes.acquisition.pattern_basis import basis
 from scenes.rig.projectors import Screen
 from scenes.scene import Scene
 from scenes.scene_meshes import Part, parts
-from scenes.shapes.materials import Conductor, Dielectric, Diffuse, Glossy, Material
+from scenes.shapes.materials import Conductor, Dielectric, Diffuse, Glossy, Material, Printed
 from scenes.support.errors import RenderError
 
 # Mitsuba starts Russian roulette at this depth; paths here end only at the scene's depth.
 NO_ROULETTE = 1_000_000
+# Grains of a print before it repeats itself, along each side.
+PRINT_GRAINS = 512
 
 
 def mitsuba_scene(scene: Scene, frame: int = 0, projector: int = 0) -> Any:
@@ -84,21 +85,28 @@ def geometry(surfaces: Sequence[Part]) -> dict[str, Any]:
     bsdfs = {material: _bsdf(material) for material in {s.material: None for s in surfaces}}
     for index, surface in enumerate(surfaces):
         name = f"part_{index}"
-        entries[name] = _mesh(name, surface.mesh, bsdfs[surface.material], surface.smooth)
+        entries[name] = _mesh(name, surface, bsdfs[surface.material])
     return entries
 
 
-def _mesh(name: str, mesh: trimesh.Trimesh, bsdf: Any, smooth: bool) -> Any:
+def _mesh(name: str, surface: Part, bsdf: Any) -> Any:
+    mesh, smooth = surface.mesh, surface.smooth
+    material = surface.material
     props = mi.Properties()
     props["bsdf"] = bsdf
     props["face_normals"] = not smooth
-    shape = mi.Mesh(name, len(mesh.vertices), len(mesh.faces), props, has_vertex_normals=smooth)
+    counts = len(mesh.vertices), len(mesh.faces)
+    printed = isinstance(material, Printed)
+    shape = mi.Mesh(name, *counts, props, has_vertex_normals=smooth, has_vertex_texcoords=printed)
     params = mi.traverse(shape)
     params["vertex_positions"] = mi.Float32(np.asarray(mesh.vertices, dtype=np.float32).ravel())
     params["faces"] = mi.UInt32(np.asarray(mesh.faces, dtype=np.uint32).ravel())
     if smooth:
         normals = vertex_normals(mesh.vertices, mesh.faces)
         params["vertex_normals"] = mi.Float32(normals.astype(np.float32).ravel())
+    if isinstance(material, Printed):
+        at = np.asarray(mesh.vertices)[:, :2] / (material.grain_mm * PRINT_GRAINS)
+        params["vertex_texcoords"] = mi.Float32(at.astype(np.float32).ravel())
     params.update()
     return shape
 
@@ -115,6 +123,12 @@ def _one_sided(material: Material) -> dict[str, Any]:
     match material:
         case Diffuse(reflectance=reflectance):
             return {"type": "diffuse", "reflectance": reflectance}
+        case Printed(dark=dark, bright=bright, seed=seed):
+            drawn = np.random.Generator(np.random.PCG64(seed)).random((PRINT_GRAINS, PRINT_GRAINS))
+            grains = np.where(drawn < 0.5, dark, bright).astype(np.float32)[..., None]
+            texture = {"type": "bitmap", "data": mi.TensorXf(grains), "raw": True}
+            texture |= {"filter_type": "nearest", "wrap_mode": "repeat"}
+            return {"type": "diffuse", "reflectance": texture}
         case Glossy(reflectance=reflectance, ior=ior, roughness=roughness):
             return {
                 "type": "roughplastic",

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scenes.support.errors import ImpossibleError
 
 Axis = Literal["column", "row"]
-FrameKind = Literal["fringe", "modulated", "gray", "xor", "white", "black"]
+FrameKind = Literal["fringe", "modulated", "gray", "xor", "white", "black", "dots"]
 Wave = tuple[float, float, float]
 """Period in px, amplitude, and phase at u = 0 in rad of one sinusoid."""
 # Beyond the reach of a phase in float32; real projectors are less than a thousandth as wide.
@@ -26,6 +26,7 @@ class Frame:
     ``floor(u / period_px + phase_shift_rad / (2 pi))``, dark and bright exchanged where `inverted`.
     An ``xor`` frame is that bit, dark and bright exchanged where the least significant bit is set. A ``modulated`` frame is a fringe
     times a carrier ``0.5 + 0.5 cos(2 pi u / carrier_px + carrier_shift_rad)``. ``white`` and ``black`` are uniform and serve both axes.
+    ``dots`` are random squares of `period_px`, no function of `axis` alone. `camera` 1 is the second camera of a pair.
     """
 
     axis: Axis
@@ -39,6 +40,7 @@ class Frame:
     plain: bool = False
     carrier_px: float = 0.0
     carrier_shift_rad: float = 0.0
+    camera: int = 0
 
     def __post_init__(self) -> None:
         """Raises `ImpossibleError` for numbers that no frame can have."""
@@ -89,6 +91,10 @@ class Frame:
             if self.kind == "xor":
                 bit ^= bits & 1
             return (1 - bit if self.inverted else bit).astype(np.float64)
+        if self.kind == "dots":
+            raise ImpossibleError(
+                "random dots are no function of one axis: read them as camera frames"
+            )
         return np.full(np.shape(coordinate_px), float(self.kind == "white"))
 
     def waves(self, amplitude: float = 1.0) -> tuple[float, list[Wave]]:

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.acquisition.patterns import Axis, Frame, Patterns
+from scenes.acquisition.patterns import Axis, EvenLight, Frame, Patterns, RandomDots
 from scenes.acquisition.projector_pixels import along
 from scenes.rig.projectors import Emission
 
@@ -29,10 +29,10 @@ class Channel:
     """One function of the projector's coordinate u: 1, cos or sin of 2 pi u / period_px, or a table of pixels.
 
     A table has `cells` values per projector pixel along `axis`: one is constant over its pixel j, [j, j + 1); between the
-    centres of several, light is linear.
+    centres of several, light is linear. Random dots are named by `values`: seed, share of white, columns and rows of dots.
     """
 
-    kind: Literal["one", "cos", "sin", "table"]
+    kind: Literal["one", "cos", "sin", "table", "dots"]
     axis: Axis = "column"
     period_px: float = 0.0
     values: tuple[float, ...] = ()
@@ -78,6 +78,8 @@ def basis(patterns: Patterns, emission: Emission, resolution: tuple[int, int]) -
     >>> [channel.name for channel in found.channels]
     ['one', 'cos-column-16px', 'sin-column-16px']
     """
+    if isinstance(patterns, RandomDots | EvenLight):
+        return _stereo_basis(patterns, emission, resolution)
     frames = patterns.frames()
     continuous = emission.linear and not emission.pixelated
     ideal = [i for i, frame in enumerate(frames) if frame.kind not in CODES and continuous]
@@ -98,6 +100,18 @@ def basis(patterns: Patterns, emission: Emission, resolution: tuple[int, int]) -
         together[np.ix_(rows, range(start, start + weights.shape[1]))] = weights
         start += weights.shape[1]
     return Basis(tuple(channels), together)
+
+
+def _stereo_basis(
+    patterns: RandomDots | EvenLight, emission: Emission, resolution: tuple[int, int]
+) -> Basis:
+    """Black and white pass any gamma and quantisation unchanged, so one channel of dots is enough."""
+    if isinstance(patterns, EvenLight):
+        return Basis((Channel("one"),), np.ones((1, 1)))
+    across, down = (float(np.ceil(n / patterns.dot_px)) for n in resolution)
+    recipe = (float(patterns.seed), patterns.share, across, down)
+    dots = Channel("dots", "column", patterns.dot_px, recipe)
+    return Basis((Channel("one"), dots), np.array([[emission.black, 1.0 - emission.black]]))
 
 
 def _sinusoids(

@@ -15,11 +15,12 @@ from scenes.acquisition.frames import (
     gray_frames,
     require_each_once,
 )
+from scenes.acquisition.stereo_light import EvenLight, RandomDots
 from scenes.support.frozen import Frozen
 
 __all__ = [
-    "WIDEST_PX", "Axis", "Bits", "Frame", "GrayBits", "GrayCode", "ModulatedPhaseShift", "OnePatterns", "PatternSeries", "Patterns",
-    "PhaseShift", "UnevenSteps", "flat_frames", "gray_frames",
+    "WIDEST_PX", "Axis", "Bits", "EvenLight", "Frame", "GrayBits", "GrayCode", "ModulatedPhaseShift", "OnePatterns", "PatternSeries",
+    "Patterns", "PhaseShift", "RandomDots", "UnevenSteps", "flat_frames", "gray_frames",
 ]  # fmt: skip
 
 Bits = Annotated[int, Field(ge=1, le=16)]
@@ -244,6 +245,12 @@ class PatternSeries(Frozen):
 
 
 Patterns = Annotated[
-    PhaseShift | GrayCode | UnevenSteps | ModulatedPhaseShift | PatternSeries,
+    PhaseShift
+    | GrayCode
+    | UnevenSteps
+    | ModulatedPhaseShift
+    | PatternSeries
+    | RandomDots
+    | EvenLight,
     Field(discriminator="kind"),
 ]

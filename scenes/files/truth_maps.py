@@ -31,7 +31,8 @@ class Truth(Displayed):
     """(row, col) index into `labels` plus 1; 0: nothing."""
     labels: tuple[str, ...]
     lit_by: NDArray[np.bool_]
-    """(projector, row, col): the projector's light reaches the point unblocked and from the seen side."""
+    """(projector, row, col): the projector's light reaches the point unblocked and from the seen side; of a pair of cameras,
+    the second one sees the point, too."""
     columns_px: Floats
     """(projector, row, col) continuous projector column of the point, lit or not."""
     rows_px: Floats

@@ -4,6 +4,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
+from scenes.rig.devices import Pinhole
 from scenes.rig.projectors import Camera, Projector, Screen, require_one_kind
 from scenes.support.frozen import Frozen
 
@@ -22,6 +23,8 @@ class Calibration(Frozen):
     projectors: Annotated[tuple[Projector, ...], Field(min_length=1)]
     height_range_mm: tuple[float, float]
     """Lowest and highest z of the working volume."""
+    second_camera: Pinhole | None = None
+    """Of a pair of cameras."""
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:

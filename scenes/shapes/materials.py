@@ -28,6 +28,23 @@ class Diffuse(Frozen):
     """Reflectance at 630, 525 and 465 nm, for colour pictures; absent: the same at each."""
 
 
+class Printed(Frozen):
+    """A Lambertian surface printed with a random pattern of square grains: a texture that stereo can match.
+
+    Grains are squares of the world's x, y plane, printed along z: vertical walls get stripes.
+    """
+
+    kind: Literal["printed"] = "printed"
+    dark: Reflectance = 0.2
+    """Albedo of half of the grains."""
+    bright: Reflectance = 0.8
+    """Albedo of the others."""
+    grain_mm: Annotated[float, Field(ge=1e-4, le=1e4)] = 0.2
+    """Side of a grain; 2 to 3 camera pixels match best."""
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    """Other seeds give other grains."""
+
+
 class Glossy(Frozen):
     """A diffuse body under a dielectric skin: ink, solder mask, paint."""
 
@@ -72,7 +89,9 @@ class Dielectric(Frozen):
     """GGX roughness of the skin. Through a smoother one no path finds a projector, which is a point."""
 
 
-Material = Annotated[Diffuse | Glossy | Conductor | Dielectric, Field(discriminator="kind")]
+Material = Annotated[
+    Diffuse | Printed | Glossy | Conductor | Dielectric, Field(discriminator="kind")
+]
 
 # Tin: n = 1.48, k = 5.25 at 589.3 nm (Drude; CRC Handbook of Chemistry and Physics, optical constants of metals:
 # reflectance 0.82). Refractiveindex.info has no visible data for tin (Golovashkin and Motulevich 1964 starts at 730 nm).

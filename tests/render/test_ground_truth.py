@@ -59,10 +59,9 @@ class Embree:
         )
 
     def lit(
-        self, points: NDArray[np.float64], triangles: NDArray[np.int64], projector: int
+        self, points: NDArray[np.float64], triangles: NDArray[np.int64], device: Any
     ) -> NDArray[np.bool_]:
-        """Per pixel whether the projector's light reaches the point, from the side that the camera sees."""
-        device = self.scene.projectors[projector]
+        """Per pixel whether a projector's light reaches the point, from the side that the camera sees."""
         camera, light = self.scene.camera.projection(), device.projection()
         towards = -light.axis if light.telecentric else light.origin_mm - points
         towards = np.broadcast_to(towards, points.shape)
@@ -105,8 +104,13 @@ def test_truth_equals_an_independent_ray_caster(name: str, tmp_path: Path) -> No
     assert np.median(off) < 6e-8 * size
     assert off.max() < 1e-6 * size
 
-    for p in range(len(scene.projectors)):
-        lit = embree.lit(points, triangles, p)
+    second = scene.second_camera
+    for p, projector in enumerate(scene.projectors):
+        lit = embree.lit(points, triangles, projector)
+        if second is not None:
+            at = second.projection().project(points)[0]
+            inside = ((at >= 0) & (at < second.resolution)).all(axis=-1)
+            lit &= inside & embree.lit(points, triangles, second)
         sure = interior(lit) & interior(truth.lit_by[p]) & away
         assert sure.mean() > 0.6
         require_same(truth.lit_by[p], lit, sure, tmp_path)

@@ -39,7 +39,7 @@ class Judged:
         rng = chance.generator("frames", name)
         projector = int(rng.integers(len(scene.projectors)))
         count = len(scene.patterns.frames())
-        frames = tuple(sorted(int(f) for f in rng.choice(count, FRAMES, replace=False)))
+        frames = tuple(sorted(int(f) for f in rng.choice(count, min(FRAMES, count), replace=False)))
         judges = [render.mitsuba_scene(judge or scene, frame, projector) for frame in frames]
         oracle = [
             [

@@ -283,6 +283,9 @@ def decode_stack(
             help="sensor; by-cause: look for mixed pixels and indirect light too, and reject what they spoil."
         ),
     ] = "sensor",
+    matcher: Annotated[
+        str | None, typer.Option(help="Two cameras without fringes: sgbm, bm.")
+    ] = None,
     progress: ShowProgress = Mode.AUTO,
     as_json: AsJson = False,
 ) -> None:
@@ -314,6 +317,7 @@ def decode_stack(
             "min_modulation_dn": min_modulation_dn,
             "max_order_residual": max_order_residual,
             "uncertainty": uncertainty,
+            "matcher": matcher,
         }
     )
     with progress_steps(progress).step("decode"):

@@ -300,7 +300,8 @@ def test_codings_are_compared_with_intervals_from_one_trace() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", scenes.shipped())
+# `stereo` shows no fringes.
+@pytest.mark.parametrize("name", [name for name in scenes.shipped() if name != "stereo"])
 def test_no_rule_beats_censored_likelihood_on_any_shipped_scene(name: str) -> None:
     columns, rows = scenes.load(name).camera.resolution
     shrink = max(columns / 160, 1.0)
