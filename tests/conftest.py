@@ -66,3 +66,15 @@ def browser() -> Iterator[Any]:
         chromium = driver.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
         yield chromium
         chromium.close()
+
+
+@pytest.fixture
+def tab(browser: Any) -> Iterator[Any]:
+    """An empty page; errors in it and requests to the network are collected in `said`."""
+    page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.said = []
+    page.on("console", lambda m: page.said.append(m.text) if m.type == "error" else None)
+    page.on("pageerror", lambda e: page.said.append(str(e)))
+    page.on("request", lambda r: page.said.append(r.url) if r.url.startswith("http") else None)
+    yield page
+    page.close()

@@ -1,6 +1,5 @@
 """Every command's page: what it shows, and that a browser shows it."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -86,17 +85,6 @@ def test_data_set_with_its_page_is_verified(pages: Path) -> None:
 
     write_report(pages / "set")
     assert verify(pages / "set") == ()
-
-
-@pytest.fixture
-def tab(browser: Any) -> Iterator[Any]:
-    page = browser.new_page(viewport={"width": 1280, "height": 900})
-    page.said = []
-    page.on("console", lambda m: page.said.append(m.text) if m.type == "error" else None)
-    page.on("pageerror", lambda e: page.said.append(str(e)))
-    page.on("request", lambda r: page.said.append(r.url) if r.url.startswith("http") else None)
-    yield page
-    page.close()
 
 
 @pytest.mark.slow

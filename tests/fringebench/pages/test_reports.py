@@ -1,6 +1,5 @@
 """The report, opened in a real browser where there is one."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,16 +19,10 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def page(browser: Any, report: Path) -> Iterator[Any]:
-    """The report, open; what the console said is in `page.said`."""
-    tab = browser.new_page(viewport={"width": 1280, "height": 900})
-    tab.said = []
-    tab.on("console", lambda m: tab.said.append(m.text) if m.type == "error" else None)
-    tab.on("pageerror", lambda e: tab.said.append(str(e)))
-    tab.on("request", lambda r: tab.said.append(r.url) if r.url.startswith("http") else None)
+def page(tab: Any, report: Path) -> Any:
+    """The report, open."""
     tab.goto(report.as_uri())
-    yield tab
-    tab.close()
+    return tab
 
 
 def drawn_surface(page: Any) -> Any:

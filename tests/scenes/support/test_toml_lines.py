@@ -88,23 +88,25 @@ def test_every_key_of_the_shipped_scenes_is_found_on_its_line() -> None:
 
 def test_errors_name_the_line_of_a_value_that_is_not_overridden(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
-    text = scenes.source("bench").replace("steps = 4", "steps = 2")
-    file.write_text(text.replace('label = "ink"', 'labl = "ink"'))
-    steps = text.splitlines().index("steps = 2") + 1
-    label = next(i for i, t in enumerate(text.splitlines(), 1) if t == 'label = "ink"')
+    wrong = {"steps = 4": "steps = 2", 'label = "ink"': 'labl = "ink"', '"emva1288"': '"emva"'}
+    text = scenes.source("bench")
+    for right, mistake in wrong.items():
+        text = text.replace(right, mistake)
+    file.write_text(text)
+    lines = text.splitlines()
+    expected = (
+        ("steps = 2", "patterns.steps"),
+        ('labl = "ink"', "unknown key 'objects.3.labl'"),
+        ('kind = "emva"', "sensor.kind: there is no 'emva'"),
+    )
     with pytest.raises(SceneError) as raised:
         scenes.load(file)
     said = str(raised.value).splitlines()
-    assert any(t.startswith(f"{file}:{steps}: patterns.steps") for t in said)
-    assert any(t.startswith(f"{file}:{label}: unknown key 'objects.3.labl'") for t in said)
+    for line, message in expected:
+        assert any(t.startswith(f"{file}:{lines.index(line) + 1}: {message}") for t in said)
+    ink = tomllib.loads(scenes.source("bench"))["objects"][3]
     with pytest.raises(SceneError, match=r"mine\.toml: patterns\.steps"):
-        scenes.load(file, {"patterns.steps": 1, "objects.3": scenes_object()})
-
-
-def scenes_object() -> dict[str, Any]:
-    """The complete ink object of the scene bench."""
-    found: dict[str, Any] = tomllib.loads(scenes.source("bench"))["objects"][3]
-    return found
+        scenes.load(file, {"patterns.steps": 1, "objects.3": ink, "sensor.kind": "emva1288"})
 
 
 def test_long_statement_is_skipped() -> None:
