@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.optimize import linprog
 from scipy.special import j0, j1
 
 import render
@@ -78,6 +79,31 @@ def test_edge_response_is_airy_and_pixel(f_number: float, subpixels: int, error:
         off = np.abs(seen[near] - airy_edge(x_um, f_number, PITCH_UM))
         assert off.max() < error
         assert off[np.abs(centres - 64 - place)[near] > 2.0].max() < 0.01
+
+
+@pytest.mark.parametrize(("f_number", "bound"), [(2.8, 0.021), (8.0, 0.024), (16.0, 0.0085)])
+def test_no_kernel_on_whole_pixels_brings_an_edge_within_a_hundredth(
+    f_number: float, bound: float
+) -> None:
+    """The least largest error of any symmetric kernel of unit sum that reaches 24 px, over 17 places of the edge."""
+    reach = 24
+    rows, wanted = [], []
+    for place in np.linspace(0.0, 1.0, 17):
+        pixels = np.clip(np.arange(-reach - 8, reach + 9) + 1.0 - place, 0.0, 1.0)
+        for centre in range(-8, 9):
+            seen = pixels[centre + 8 : centre + 9 + 2 * reach]
+            pairs = seen[reach:] + seen[reach::-1]
+            # What a kernel sends farther meets one side of the edge as often as the other.
+            rows.append(np.where(np.arange(reach + 1) > 0, pairs - 1.0, pairs / 2.0 - 0.5))
+            wanted.append(float(airy_edge(np.array([(centre + 0.5 - place) * PITCH_UM]), f_number, PITCH_UM)[0]))  # fmt: skip
+    a, b = np.array(rows), np.array(wanted) - 0.5
+    slack = -np.ones((len(a), 1))
+    sides = np.block([[a, slack], [-a, slack]])
+    cost = np.append(np.zeros(reach + 1), 1.0)
+    free = [(None, None)] * (reach + 1)
+    best = linprog(cost, sides, np.concatenate([b, -b]), bounds=[*free, (0.0, None)])
+    assert best.fun is not None
+    assert best.fun > bound
 
 
 @pytest.mark.parametrize("f_number", F_NUMBERS)

@@ -31,7 +31,9 @@ pytestmark = pytest.mark.trust
 
 
 @pytest.mark.parametrize("f_number", F_NUMBERS)
-def test_edge_of_a_rendered_plate_is_airy_and_pixel(f_number: float) -> None:
+def test_edge_of_a_rendered_plate_is_airy_and_pixel(
+    f_number: float, record_property: Figure
+) -> None:
     light = render.trace(edge_scene(64 * 4), samples=1024, depth=1)
     lens = sensor(f_number, dark_current_e_per_s=0.0)
     white = render.expose(light, sensor=lens, noise=False, subpixels=4).frames[0, -2]
@@ -43,7 +45,9 @@ def test_edge_of_a_rendered_plate_is_airy_and_pixel(f_number: float) -> None:
     # 1024 places in a sixteenth of a pixel, over 32 rows: the edge is known to 1e-3.
     plateau = airy_edge(x_um[45:55], f_number, PITCH_UM).mean()
     seen = white.mean(axis=0) / level * plateau
-    assert np.abs(seen - expected)[near].max() < 0.01
+    off = np.abs(seen - expected)[near].max()
+    record_property("figure", f"off by up to {off:.2%} of the edge")
+    assert off < 0.01
 
 
 def uniform(model: str, period_px: float) -> tuple[Scene, float]:
@@ -69,7 +73,7 @@ def uniform(model: str, period_px: float) -> tuple[Scene, float]:
 @pytest.mark.parametrize("period_px", [3.0, 4.0, 6.0, 12.0])
 @pytest.mark.parametrize("model", ["pinhole", "telecentric"])
 def test_fringe_contrast_is_that_of_projector_pixel_camera_pixel_and_lens(
-    model: str, period_px: float
+    model: str, period_px: float, record_property: Figure
 ) -> None:
     """Square and Gaussian of the projector, square of the camera, diffraction of its lens, each at the fringe's frequency."""
     scene, step = uniform(model, period_px)
@@ -90,10 +94,11 @@ def test_fringe_contrast_is_that_of_projector_pixel_camera_pixel_and_lens(
         -2 * (np.pi * SIGMA_PX / period_px) ** 2
     )
     expected = projector * np.sinc(step / period_px) * pupil
+    record_property("figure", f"contrast {expected:.3f}, {first / level / expected - 1:+.2%}")
     assert first / level == pytest.approx(expected, rel=0.01)
 
 
-def test_height_of_a_vibrating_scene_scatters_by_061_of_it() -> None:
+def test_height_of_a_vibrating_scene_scatters_by_061_of_it(record_property: Figure) -> None:
     """Four steps: ``sum of (sin^2(phi + k pi / 2) / 2)^2`` averages to 3/8 over phi, so 0.612 of the jitter."""
     scene = plain(vibration_um=1.0)
     transport = render.trace(scene, samples=16)
@@ -107,6 +112,7 @@ def test_height_of_a_vibrating_scene_scatters_by_061_of_it() -> None:
         off = phase(stack.frames.astype(np.float64)) - still
         errors_um.append(((off + np.pi) % (2 * np.pi) - np.pi) / per_mm * 1e3)
     rms = float(np.sqrt(np.mean(np.square(errors_um))))
+    record_property("figure", f"{rms:.4f} of it, {rms / np.sqrt(3 / 8) - 1:+.2%}")
     # 4000 repeats of some three independent numbers each know it to 0.7 %.
     assert rms == pytest.approx(np.sqrt(3 / 8), rel=0.03)
 
