@@ -40,7 +40,7 @@ class GraySet:
     """Frame of each bit's inverse."""
     white: int | None
     black: int | None
-    origin_px: float = 0.0
+    origin_px: float
     """Projector coordinate at which code 0 begins."""
     plain: bool = False
     """Plain binary instead of reflected Gray code."""

@@ -45,3 +45,27 @@ def test_misfit_is_what_noise_and_gamma_do_not_explain() -> None:
     seen = Harmonics(0.0, 0.0, 1.0, 0.7, 0.2, 0.3)
     assert _misfit(seen) == pytest.approx(0.6)
     assert _misfit(Harmonics(0.0, 0.0, 1.0, 0.1, 0.2, 0.3)) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("gamma", "error", "bent", "linear"),
+    [
+        (1.15, 1e-4, True, False),
+        (0.85, 1e-4, True, False),
+        (1.05, 1e-4, False, True),
+        (0.95, 1e-4, False, True),
+        (1.05, 0.01, False, False),  # Four standard deviations of gamma are 0.12.
+        (
+            1.15,
+            0.02,
+            False,
+            False,
+        ),  # The harmonic itself is in doubt: 0.05 against four times 0.02.
+    ],
+)
+def test_gamma_counts_beyond_a_tenth_and_four_standard_deviations(
+    gamma: float, error: float, bent: bool, linear: bool
+) -> None:
+    # d(gamma) = 3 d(second), near gamma 1.
+    found = Harmonics((gamma - 1.0) / 3.0, error, gamma, 0.0, 0.0, 0.0)
+    assert (found.bent, found.linear) == (bent, linear)

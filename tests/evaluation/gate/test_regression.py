@@ -128,6 +128,9 @@ def test_errors_are_judged_from_five_percent_and_thirty_pixels_on(
     small = {"base": np.arange(SHAPE[0] * SHAPE[1]).reshape(SHAPE) < 500}
     found = measure(error, np.ones_like(error), np.zeros(SHAPE), small, NOWHERE, MM_PER_RAD)
     assert ("bias_mm" in found["base"]) == (pixels >= 30)
+    # The repeat with the fewest pixels decides.
+    error[1].reshape(-1)[20:] = np.nan
+    assert "bias_mm" not in figures(error)["base"]
 
 
 def test_margins_are_the_larger_of_phase_and_noise() -> None:
