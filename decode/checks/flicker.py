@@ -1,13 +1,13 @@
 """Brightness of the source from frame to frame of a fringe set: measured, and divided out.
 
-A frame k that is brighter by a factor ``g_k`` bends the phase of the whole set. Averaged over whole fringes, ``I_k / A`` is
-``g_k`` whatever the reflectance, because the fringe's cosine averages out. The average is taken along lines across the
-fringes, over one turn of phase and again over whole turns, so that a steady change of the fringes' contrast cancels too; it
-takes runs of pixels two turns long. The factors are found by iteration, because A and the phase are fitted to frames that
-the factors have changed; their uncertainty is the scatter from run to run.
+A frame k that is brighter by a factor ``g_k`` bends the phase of the whole set, and two things show it. Relative to the mean A of the
+steps, modulation B/A then depends on the phase, as ``cos phi`` and ``sin phi``; no texture, gamma or ambient light makes it do so. And
+with four steps or more, what a sinusoid leaves of the samples no longer has the mean 0. Both are averaged in small parts of
+the image, each about one fringe long, in which the contrast may change with the place; the median of the parts counts, so that parts
+with an edge do not. The factors are found by Newton's iteration.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,23 +15,32 @@ from numpy.typing import NDArray
 
 from decode.phase.gamma import CLEAR
 from decode.phase.n_step import TURN, FringeSet, fringe_sets, solution, wrap
+from scenes.acquisition.fringe_fit import fringe_design
 from scenes.files.stack import Stack
 from scenes.support.finding import Finding, graded
 
-MAX_LINES = 96
-# Parts of the image, bands of lines by parts of a line, whose medians give the scatter: neighbouring lines see the same
-# surface, so that their runs are no independent measurements.
-BANDS, PARTS, MIN_PARTS = 6, 3, 5
-# Phase from sample to sample of a run: above noise, and below half a turn.
-STEP_RAD = 0.3
-MAX_STEP_RAD = 2.0
-STARTS = 16
-# The error of the factors shrinks to a half or less with each one.
-ITERATIONS = 10
+Floats = NDArray[np.float64]
+Part = tuple[tuple[int, int], Floats, Floats]
+
+MAX_PIXELS = 40_000
+# Fringes along a part of the image, parts at most each way, and pixels of one that are few for its unknowns.
+TURNS, MOST_PARTS, FEWEST_PIXELS = 1.4, (16, 8), 40
+FEWEST_PARTS = 5
+# Neighbouring parts see the same surface: their scatter is taken between groups of them, so many each way.
+GROUPS = 6
+# Smallest share of the variance of ``cos phi`` and ``sin phi`` that place and contrast may leave.
+INDEPENDENT = 0.15
+# Residuals in standard deviations from which a pixel, such as one at an edge, counts less.
+OUTLIER = 1.5
+# Change of a factor that is tried, and parts on which.
+CHANGE, JACOBIAN_PARTS = 0.02, 40
+ITERATIONS = 6
 # Standard errors that a factor must differ from 1.
 SIGNIFICANT = 4.0
 # Largest phase error over predicted standard deviations of the best pixels.
 ERROR_SIGMAS = (2.0, 8.0)
+# Largest error of the order that coarser fringes give, in periods of the next finer ones.
+ORDER_TURNS = (0.1, 0.25)
 # Changes of brightness below this are not reported; the method itself is good to a tenth of it.
 SMALLEST = 0.003
 
@@ -40,7 +49,7 @@ SMALLEST = 0.003
 class Flicker:
     """Brightness of the frames of one fringe set in one exposure."""
 
-    gains: NDArray[np.float64]
+    gains: Floats
     """(step,) relative to their mean."""
     uncertainty: float
     """Standard error of a factor."""
@@ -57,103 +66,134 @@ class Flicker:
 
 
 def measured_flicker(stack: Stack, fringes: FringeSet, exposure: int) -> Flicker | None:
-    """Brightness of each frame of a fringe set; None where too few runs of modulated, unsaturated pixels show two
-    fringes side by side.
-    """
-    samples, good = _lines(stack, fringes, exposure)
-    rows, steps = solution(fringes), len(fringes.frames)
-    gains, means = np.ones(steps), np.empty((0, steps))
-    for _ in range(ITERATIONS):
-        means = _part_means(samples / gains[:, None, None], good, rows)
-        if len(means) < MIN_PARTS:
-            return None
-        gains *= np.median(means, axis=0)
-        gains /= gains.mean()
-    scatter = 1.4826 * np.median(np.abs(means - np.median(means, axis=0)), axis=0)
+    """Brightness of each frame of a fringe set; None where too few modulated, unsaturated pixels show a whole fringe."""
+    samples, good = _pixels(stack, fringes, exposure)
+    parts = _parts(samples, good, fringes)
+    rows = solution(fringes)
+    if len(parts) < FEWEST_PARTS:
+        return None
     level, cosine, sine = np.tensordot(rows, samples, axes=1)[:, good]
     modulation = np.hypot(cosine, sine)
+    gains = np.ones(len(rows[0]))
+    few = parts[:: max(1, len(parts) // JACOBIAN_PARTS)]
+    # How each factor changes what is measured depends on contrast, gamma and the phases in view, so it is tried on the data.
+    changed = [_measured(few, gains + CHANGE * one, fringes) for one in np.eye(len(gains))]
+    inverse = np.linalg.pinv(
+        (np.array(changed) - _measured(few, gains, fringes)).T / CHANGE, rcond=1e-2
+    )
+    for _ in range(ITERATIONS):
+        gains -= gains * (inverse @ _measured(parts, gains, fringes))
+        gains /= gains.mean()
+    groups: dict[tuple[int, int], list[Floats]] = {}
+    for group, part, place in parts:
+        groups.setdefault(group, []).append(inverse @ _signs(part / gains[:, None], place, fringes))
+    means = np.array([np.median(each, axis=0) for each in groups.values()])
+    scatter = 1.4826 * np.median(np.abs(means - np.median(means, axis=0)), axis=0)
     constant, slope = stack.sensor.noise_model(stack.exposure_ms[exposure])
     variance = constant + slope * float(np.median(level))
     return Flicker(
         gains,
-        # A median of Gaussian numbers scatters pi / 2 times as much as their mean, and the iteration doubles it.
-        float(2.0 * np.sqrt(0.5 * np.pi / len(means)) * scatter.max()),
+        # A median of Gaussian numbers scatters pi / 2 times as much as their mean.
+        float(np.sqrt(0.5 * np.pi / len(means)) * scatter.max()),
         _error(gains, float(np.median(modulation / level)), fringes),
-        float(np.sqrt(2.0 * variance / steps) / np.percentile(modulation, 95.0)),
+        float(np.sqrt(2.0 * variance / len(gains)) / np.percentile(modulation, 95.0)),
     )
 
 
-def _part_means(
-    samples: NDArray[np.float64], good: NDArray[np.bool_], rows: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Median (part, step) over the runs of each part of the image."""
-    parts: dict[tuple[int, int], list[NDArray[np.float64]]] = {}
-    for part, mean in _run_means(samples, good, rows):
-        parts.setdefault(part, []).append(mean)
-    return np.array([np.median(means, axis=0) for means in parts.values()])
+def _measured(parts: Sequence[Part], gains: Floats, fringes: FringeSet) -> Floats:
+    """Median of the parts' signs of flicker that are left after dividing by `gains`."""
+    signs = [_signs(part / gains[:, None], place, fringes) for _, part, place in parts]
+    return np.asarray(np.median(signs, axis=0))
 
 
-def _run_means(
-    samples: NDArray[np.float64], good: NDArray[np.bool_], rows: NDArray[np.float64]
-) -> Iterator[tuple[tuple[int, int], NDArray[np.float64]]]:
-    """Part of the image, and mean (step,) of ``I_k / A`` over whole fringes of each run of good pixels in which the phase keeps its direction."""
-    level, cosine, sine = np.tensordot(rows, samples, axes=1)
+def _signs(samples: Floats, place: Floats, fringes: FringeSet) -> Floats:
+    """What flicker changes in samples (step, pixel) of one part: how B/A varies with the phase, and the mean of what a sinusoid leaves.
+
+    `place` (term, pixel) are the terms by which B/A changes anyway.
+    """
+    fit = solution(fringes) @ samples
+    level, cosine, sine = fit
     phase = np.arctan2(sine, cosine)
+    # Gamma makes B/A depend on multiples of N phi, and on 2 phi.
+    steps = len(samples)
+    waves = [wave(k * phase) for k in (1, 2, steps, 2 * steps) for wave in (np.cos, np.sin)]
+    design = np.concatenate([waves, place]).T
+    contrast = np.hypot(cosine, sine) / level
+    # Noise of both is inverse to the brightness.
+    trust = (level / level.max()) ** 2
+    weight = trust
+    # Fringes of three or four camera pixels without noise show so few phases that their waves are one.
+    ridge = 1e-9 * level.size * np.eye(len(design.T))
+    for _ in range(3):
+        weighed = (design * weight[:, None]).T
+        found = np.linalg.solve(weighed @ design + ridge, weighed @ contrast)
+        left = np.abs(contrast - design @ found)
+        limit = max(OUTLIER * 1.4826 * float(np.median(left)), 1e-6)
+        weight = trust * limit / np.maximum(left, limit)
+    left_over = (samples - fringe_design(fringes.shifts_rad) @ fit) / level
+    residual = left_over @ trust / trust.sum()
+    return np.concatenate([found[:2], residual])
+
+
+def _parts(samples: Floats, good: NDArray[np.bool_], fringes: FringeSet) -> list[Part]:
+    """Group, samples (step, pixel) and terms of place (3, pixel) of the parts of the image that show all phases."""
+    _, cosine, sine = np.tensordot(solution(fringes), samples, axes=1)
+    phase = np.arctan2(sine, cosine)
+    lines, length = good.shape
     both = good[:, 1:] & good[:, :-1]
-    typical = float(np.median(np.abs(wrap(np.diff(phase, axis=1)))[both])) if both.any() else 0.0
-    every = int(np.clip(STEP_RAD / max(typical, 1e-3), 1, 16))
-    for line in range(len(good)):
-        at, inside = phase[line, ::every], good[line, ::every]
-        step = wrap(np.diff(at))
-        joined = inside[1:] & inside[:-1]
-        if not joined.any():
-            continue
-        direction = np.sign(np.median(step[joined]))
-        joined &= (step * direction > 0.0) & (np.abs(step) < MAX_STEP_RAD)
-        ratio = samples[:, line, ::every] / np.maximum(level[line, ::every], 1e-6)
-        bounds = np.flatnonzero(np.diff(np.concatenate([[False], joined, [False]]).astype(np.int8)))
-        for start, stop in zip(bounds[::2], bounds[1::2], strict=True):
-            mean = _whole_turns(ratio[:, start : stop + 1], np.abs(step[start:stop]))
-            if mean is not None:
-                middle = (start + stop) // 2
-                yield (line * BANDS // len(good), middle * PARTS // len(at)), mean
-
-
-def _whole_turns(
-    ratio: NDArray[np.float64], step: NDArray[np.float64]
-) -> NDArray[np.float64] | None:
-    """Mean (step,) over one turn of phase, averaged over starts that fill whole turns; None for less than two turns."""
-    turns = int(step.sum() / TURN) - 1
-    if turns < 1:
-        return None
-    at = np.concatenate([[0.0], np.cumsum(step)])
-    middle = 0.5 * (ratio[:, 1:] + ratio[:, :-1]) * step
-    sums = np.concatenate([np.zeros((len(ratio), 1)), np.cumsum(middle, axis=1)], axis=1)
-    starts = np.arange(turns * STARTS) * (TURN / STARTS)
-    ends = [np.interp(starts + TURN, at, s) - np.interp(starts, at, s) for s in sums]
-    return np.asarray(np.mean(ends, axis=1) / TURN)
+    if not both.any():
+        return []
+    turns = float(np.median(np.abs(wrap(np.diff(phase, axis=1)))[both])) * length / TURN
+    count = int(np.clip(turns / TURNS, 1, MOST_PARTS[0])), min(MOST_PARTS[1], max(lines // 4, 1))
+    found = []
+    for j in range(count[1]):
+        across = slice(j * lines // count[1], (j + 1) * lines // count[1])
+        for i in range(count[0]):
+            at = across, slice(i * length // count[0], (i + 1) * length // count[0])
+            inside = good[at]
+            if inside.sum() < FEWEST_PIXELS:
+                continue
+            y, x = (place - place.mean() for place in np.nonzero(inside))
+            place = np.stack([np.ones(x.size), x / max(length, 1), y / max(lines, 1)])
+            angle = phase[at][inside]
+            waves = np.stack([np.cos(angle), np.sin(angle)])
+            basis = np.linalg.qr(place.T)[0]
+            left = waves - (waves @ basis) @ basis.T
+            if np.linalg.eigvalsh(left @ left.T / angle.size)[0] > INDEPENDENT:
+                group = j * GROUPS // count[1], i * GROUPS // count[0]
+                found.append((group, samples[:, at[0], at[1]][:, inside], place))
+    return found
 
 
 def flicker_findings(stack: Stack, projector: int = 0) -> Iterator[Finding]:
-    """Whether the frames of each fringe set are equally bright; sets that do not show it are left out."""
-    for fringes in _sets(stack, projector):
-        name = f"{fringes.axis} fringes of {fringes.period_px:g} px, brightness"
-        found = [measured_flicker(stack, fringes, e) for e in range(len(stack.exposure_ms))]
-        measured = [f for f in found if f is not None]
-        if not measured:
-            continue
-        worst = max(measured, key=lambda f: (f.significant, f.error_rad / f.sigma_rad))
-        off = float(np.abs(worst.gains - 1.0).max())
-        verdict = graded(worst.error_rad / worst.sigma_rad, *ERROR_SIGMAS)
-        said = f"frames differ from their mean brightness by up to {off:.2%}"
-        if not worst.significant:
-            verdict = "ok"
-        if verdict != "ok":
-            said += (
-                f" (frame {int(np.abs(worst.gains - 1.0).argmax())} of {len(worst.gains)}), which bends the phase by up to "
-                f"{worst.error_rad:.3f} rad: the source flickers or drifts; import with --equalise, which divides it out"
+    """Whether the frames of each fringe set are equally bright; sets that do not show it are left out.
+
+    The finest fringes of an axis measure, and are judged by their noise; the others by the order that they give.
+    """
+    for sets in fringe_sets(stack.patterns, projector).values():
+        for fringes, finer in zip(sets, (*sets[1:], None), strict=True):
+            found = [measured_flicker(stack, fringes, e) for e in range(len(stack.exposure_ms))]
+            measured = [f for f in found if f is not None]
+            if not measured:
+                continue
+            worst = max(measured, key=lambda f: (f.significant, f.error_rad / f.sigma_rad))
+            off = float(np.abs(worst.gains - 1.0).max())
+            turns = fringes.period_px / finer.period_px * worst.error_rad / TURN if finer else 0.0
+            verdict = (
+                graded(turns, *ORDER_TURNS)
+                if finer
+                else graded(worst.error_rad / worst.sigma_rad, *ERROR_SIGMAS)
             )
-        yield Finding(name, verdict, said, off)
+            said = f"frames differ from their mean brightness by up to {off:.2%}"
+            if not worst.significant:
+                verdict = "ok"
+            if verdict != "ok":
+                said += (
+                    f" (frame {int(np.abs(worst.gains - 1.0).argmax())} of {len(worst.gains)}), which bends the phase by up "
+                    f"to {worst.error_rad:.3f} rad: the source flickers or drifts; import with --equalise, which divides it out"
+                )
+            name = f"{fringes.axis} fringes of {fringes.period_px:g} px, brightness"
+            yield Finding(name, verdict, said, off)
 
 
 def equalise(stack: Stack, projector: int = 0) -> Stack:
@@ -163,7 +203,8 @@ def equalise(stack: Stack, projector: int = 0) -> Stack:
     frames = stack.frames.astype(np.float32)
     black, limit = stack.sensor.black_level_dn, np.float32(stack.saturation_dn)
     below = np.nextafter(limit, np.float32(0.0))
-    for fringes in _sets(stack, projector):
+    sets = fringe_sets(stack.patterns, projector).values()
+    for fringes in (one for axis in sets for one in axis):
         for exposure in range(len(stack.exposure_ms)):
             found = measured_flicker(stack, fringes, exposure)
             if found is None or not found.significant:
@@ -178,25 +219,22 @@ def equalise(stack: Stack, projector: int = 0) -> Stack:
     return replace(stack, frames=frames)
 
 
-def _sets(stack: Stack, projector: int) -> Iterator[FringeSet]:
-    for sets in fringe_sets(stack.patterns, projector).values():
-        yield from sets
-
-
-def _lines(
-    stack: Stack, fringes: FringeSet, exposure: int
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Samples (step, line, pixel) above black on lines along the axis, and which pixels are modulated and unsaturated."""
+def _pixels(stack: Stack, fringes: FringeSet, exposure: int) -> tuple[Floats, NDArray[np.bool_]]:
+    """Samples (step, line, pixel) above black, lines along the axis, and which pixels are modulated and unsaturated."""
     frames = stack.frames[exposure]
     planes = frames if fringes.axis == "column" else frames.swapaxes(1, 2)
-    every = max(1, planes.shape[1] // MAX_LINES)
+    every = max(1, int(np.ceil(planes[0].size / MAX_PIXELS)))
     raw = planes[list(fringes.frames), ::every].astype(np.float64)
     samples = raw - stack.sensor.black_level_dn
     level, cosine, sine = np.tensordot(solution(fringes), samples, axes=1)
     constant, slope = stack.sensor.noise_model(stack.exposure_ms[exposure])
     sigma = np.sqrt(constant + slope * np.maximum(level, 0.0))
-    clear = np.hypot(cosine, sine) > np.maximum(CLEAR * sigma, 0.05 * level)
-    return samples, clear & (raw.max(axis=0) < stack.saturation_dn) & (level > 0.0)
+    modulation = np.hypot(cosine, sine)
+    clear = (modulation > np.maximum(CLEAR * sigma, 0.05 * level)) & (level > 0.0)
+    clear &= raw.max(axis=0) < stack.saturation_dn
+    # A choice that does not depend on the phase, where it leaves enough.
+    below = clear & (level + modulation < stack.saturation_dn - stack.sensor.black_level_dn)
+    return samples, below if below.sum() > 0.2 * clear.sum() else clear
 
 
 def _error(gains: NDArray[np.float64], contrast: float, fringes: FringeSet) -> float:

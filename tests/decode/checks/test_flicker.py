@@ -103,6 +103,28 @@ def test_steady_source_gives_no_warning(
     assert {f.verdict for f in found} == {"ok"}
 
 
+@pytest.mark.parametrize("flicker", [0.0, 0.05])
+@pytest.mark.parametrize("turns", [3.5, 8.0])
+def test_edges_of_contrast_and_few_fringes_are_no_flicker_and_hide_none(
+    turns: float, flicker: float
+) -> None:
+    """A shiny disc under light that does not come from the projector has another contrast than its surroundings."""
+    rng = np.random.default_rng(2)
+    y, x = np.mgrid[:60, :160] + 0.5
+    reflectance = np.where((x - 40) ** 2 + (y - 30) ** 2 < 225, 3.5, 1.0)
+    patterns = PhaseShift(steps=3, periods_px=(16.0,))
+    at_px = 16.0 * turns * x / 160.0 + 2.0 * np.exp(-((x - 80) ** 2 + (y - 30) ** 2) / 225)
+    gains = 1.0 + flicker * np.array([1.0, -1.0, 0.0])
+    light = [
+        10.0 + 60.0 * g * reflectance * patterns.commanded(f, at_px)
+        for g, f in zip(gains, patterns.frames(), strict=True)
+    ]
+    counts = np.round(np.array(light) + rng.normal(0.0, 1.0, (3, 60, 160))).astype(np.uint8)
+    stack = Stack(counts[None], patterns.frames(), (1.0,), SimpleSensor(sigma_dn=1.0))
+    found = list(flicker_findings(stack))
+    assert {f.verdict for f in found} == ({"ok"} if not flicker else {"wrong"})
+
+
 def test_one_fringe_in_view_says_nothing_of_the_source() -> None:
     stack = taken(FLICKER[4])
     coarsest = fringe_sets(stack.patterns, 0)["column"][0]
