@@ -7,10 +7,10 @@ from render.motion import conveyed, height_slope
 from render.pathtracer.until_converged import trace
 from render.plugins.scene_translation import mitsuba_scene
 from render.plugins.shared_surfaces import Surfaces, surfaces
-from render.ring_lights import RINGS, ring_light_picture
+from render.ring_lights import ring_light_picture
 from render.transport import PhaseError, RenderNoise, Transport
 
 __all__ = [
-    "RINGS", "PhaseError", "RenderNoise", "Surfaces", "Transport", "conveyed", "expose", "height_slope", "mitsuba_scene",
+    "PhaseError", "RenderNoise", "Surfaces", "Transport", "conveyed", "expose", "height_slope", "mitsuba_scene",
     "ring_light_picture", "surfaces", "through_lens", "trace", "truth",
 ]  # fmt: skip

@@ -67,7 +67,7 @@ def ring_light_picture(
 
     Notes
     -----
-    Each ring is infinitely far away (`RINGS` has elevation and wavelength), and each channel sees one ring only. 16 light
+    Each ring is infinitely far away (`render.ring_lights.RINGS` has elevations and wavelengths), and each channel sees one ring only. 16 light
     paths per pixel and ring, to the scene's depth; no noise, blur or defects of a sensor.
 
     Examples

@@ -35,17 +35,15 @@ def _write(store: Store, records: list[Record], folder: Path, split: str) -> Pat
         file.write('{"info": {"description": ' + json.dumps(split) + ', "version": "1.0"},\n')
         file.write('"licenses": [],\n"categories": ' + json.dumps(categories()) + ",\n")
         file.write('"images": [')
-        file.writelines(_listed(image for _, image in _entries(store, made, "images")))
+        file.writelines(_listed(_entries(store, made, "images")))
         file.write('],\n"annotations": [')
         notes = enumerate(_entries(store, made, "annotations"), start=1)
-        file.writelines(_listed(note | {"id": number} for number, (_, note) in notes))
+        file.writelines(_listed(note | {"id": number} for number, note in notes))
         file.write("]}\n")
     return path
 
 
-def _entries(
-    store: Store, records: list[Record], key: str
-) -> Iterator[tuple[Record, dict[str, Any]]]:
+def _entries(store: Store, records: list[Record], key: str) -> Iterator[dict[str, Any]]:
     for record in records:
         name = f"{record.folder}/labels.json"
         content = store.read(name)
@@ -53,8 +51,7 @@ def _entries(
             raise DatasetError(
                 f"'{store.where}/{name}' is missing: fringebench dataset --repair makes it again"
             )
-        for entry in json.loads(content)[key]:
-            yield record, entry
+        yield from json.loads(content)[key]
 
 
 def _listed(entries: Iterator[dict[str, Any]]) -> Iterator[str]:

@@ -38,3 +38,9 @@ def write_png(image: NDArray[np.uint8], path: Path) -> None:
     """Write a grey picture (row, col) or a colour one (row, col, 3), atomically."""
     with replacing(path) as staged:
         Image.fromarray(image).save(staged, format="PNG")
+
+
+def read_png(path: Path) -> NDArray[np.uint8]:
+    """A picture (row, col) or (row, col, 3) of a sample."""
+    with Image.open(path) as image:
+        return np.asarray(image)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
 
 from fringebench.datasets.contents import read_manifest, read_plan
 from fringebench.datasets.manifest import MANIFEST_FILE
+from fringebench.datasets.pictures import read_png
 from fringebench.datasets.sample import Record
 from fringebench.datasets.store import Store, open_store
 from scenes.files.stack import Stack
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from scenes.scene import Scene
 
 T = TypeVar("T")
+F = TypeVar("F")
 
 
 @dataclass(frozen=True)
@@ -59,8 +61,7 @@ class Sample:
     @cached_property
     def stack(self) -> Stack:
         """The raw frames with patterns, exposures, sensor and calibration."""
-        with self.store.local(self._name("stack.exr")) as path:
-            return Stack.read(path or self._missing("stack.exr"))
+        return self._read("stack.exr", Stack.read)
 
     @property
     def frames(self) -> NDArray[np.generic]:
@@ -70,26 +71,24 @@ class Sample:
     @cached_property
     def picture(self) -> NDArray[np.uint8]:
         """``picture.png``: (row, col), 0 to 255."""
-        return self._image("picture.png")
+        return self._read("picture.png", read_png)
 
     @cached_property
     def colour(self) -> NDArray[np.uint8]:
         """``colour.png``: (row, col, channel), 0 to 255; only in data sets made with `ring_light`."""
-        return self._image("colour.png")
+        return self._read("colour.png", read_png)
 
     @cached_property
     def reconstruction(self) -> Reconstruction:
         """Measured heights; only in data sets made with `heights`."""
         from decode import Reconstruction
 
-        with self.store.local(self._name("reconstruction.exr")) as path:
-            return Reconstruction.read(path or self._missing("reconstruction.exr"))
+        return self._read("reconstruction.exr", Reconstruction.read)
 
     @cached_property
     def truth(self) -> Truth:
         """Truth maps, (row, col): height, points, normals, labels, light."""
-        with self.store.local(self._name("truth.exr")) as path:
-            return Truth.read(path or self._missing("truth.exr"))
+        return self._read("truth.exr", Truth.read)
 
     @cached_property
     def labels(self) -> dict[str, Any]:
@@ -108,15 +107,9 @@ class Sample:
         """The scene as drawn: `render.trace` of it with the `light_seed` of `labels` gives this sample's light."""
         return parse(self._text("scene.toml"), where=self._name("scene.toml"))
 
-    def _image(self, file: str) -> NDArray[np.uint8]:
-        import numpy as np
-        from PIL import Image
-
-        with (
-            self.store.local(self._name(file)) as path,
-            Image.open(path or self._missing(file)) as image,
-        ):
-            return np.asarray(image)
+    def _read(self, file: str, read: Callable[[Path], F]) -> F:
+        with self.store.local(self._name(file)) as path:
+            return read(path or self._missing(file))
 
     def _name(self, file: str) -> str:
         return f"{self.record.folder}/{file}"

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -103,7 +103,7 @@ def attempt(plan: DatasetPlan, scene: Scene, index: int, folder: Path) -> Record
         status="made",
         pads=len(pads),
         defective=sum(bool(pad["defects"]) for pad in pads),
-        drawn=json.dumps(made.drawn),
+        drawn=json.dumps(made.labels["drawn"]),
         files=sums,
     )
 
@@ -120,26 +120,23 @@ def checksum(path: Path) -> FileSum:
     return FileSum(bytes=path.stat().st_size, sha256=digest)
 
 
+@dataclass(frozen=True, eq=False)
 class _Content:
     """A sample in memory."""
 
-    def __init__(
-        self,
-        scene: Scene,
-        stack: Stack,
-        truth: Truth,
-        measured: "Reconstruction | None",
-        labels: dict[str, Any],
-        picture: bool,
-        colour: NDArray[np.float32] | None,
-    ) -> None:
-        self.scene, self.stack, self.truth, self.labels = scene, stack, truth, labels
-        self.measured, self.picture, self.colour = measured, picture, colour
+    scene: Scene
+    stack: Stack
+    truth: Truth
+    measured: "Reconstruction | None"
+    labels: dict[str, Any]
+    picture: bool
+    colour: NDArray[np.float32] | None
 
     @classmethod
     def of(cls, plan: DatasetPlan, scene: Scene, index: int) -> "_Content":
         import decode
         import render
+        from render.ring_lights import RINGS
 
         lit = plan.light_of(index)
         light, noise = seeds(plan.seed, index, lit)
@@ -163,18 +160,13 @@ class _Content:
         if (reached := transport.render_noise or transport.phase_error) is not None:
             labels["light"] = reached.to_dict() | {"samples": transport.samples}
         if plan.ring_light:
-            labels["rings"] = [asdict(ring) for ring in render.RINGS]
+            labels["rings"] = [asdict(ring) for ring in RINGS]
         measured = None
         if plan.heights:
             measured = decode.reconstruct(stack)
             code = HeightCode.of_range(*drawn.height_range_mm)
             labels["height_png"] = asdict(code) | {"no_height": 0}
         return cls(drawn, stack, truth, measured, labels, plan.picture, colour)
-
-    @property
-    def drawn(self) -> dict[str, Any]:
-        drawn: dict[str, Any] = self.labels["drawn"]
-        return drawn
 
     def write(self, folder: Path) -> None:
         self.stack.write(folder / "stack.exr")

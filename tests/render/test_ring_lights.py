@@ -5,6 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 import render
+from render.ring_lights import RINGS
 from scenes.shapes.materials import LIBRARY, Conductor
 from tests.render import rigs
 
@@ -30,7 +31,7 @@ def test_level_matt_surface_has_its_reflectance_in_each_colour() -> None:
 
 @pytest.mark.parametrize("channel", [0, 1, 2])
 def test_tilted_mirror_shows_the_ring_that_it_reflects(channel: int) -> None:
-    ring, tin = render.RINGS[channel], LIBRARY["mirror"]
+    ring, tin = RINGS[channel], LIBRARY["mirror"]
     assert isinstance(tin, Conductor)
     elevation_deg = (ring.low_deg + ring.high_deg) / 2.0
     tilt_deg = (90.0 - elevation_deg) / 2.0

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from fringebench.datasets.dataset_plan import DatasetPlan
+from fringebench.datasets.execution.maker import made_with
+from fringebench.datasets.execution.sample_worker import confine
 from fringebench.datasets.sample import Record, attempt, failed
 from fringebench.datasets.store import open_store
 from scenes.support.errors import DatasetError, FringebenchError
@@ -74,8 +76,6 @@ def maker_of(address: str) -> dict[str, str]:
 
 def remote_maker() -> str:
     """`made_with` on a worker, as JSON."""
-    from fringebench.datasets.execution.maker import made_with
-
     try:
         return json.dumps(made_with())
     except FringebenchError as error:
@@ -104,9 +104,7 @@ def remote(plan_toml: str, index: int, where: str) -> str:
     try:
         with _ONE_AT_A_TIME:
             plan = DatasetPlan.loads(plan_toml, "the plan")
-            _check_maker(plan)
-            from fringebench.datasets.execution.sample_worker import confine
-
+            plan.require_maker(made_with())
             confine()
             store = open_store(where)
             with store.staging() as folder:
@@ -116,12 +114,6 @@ def remote(plan_toml: str, index: int, where: str) -> str:
         return record.model_dump_json()
     except FringebenchError as error:
         return json.dumps({"fatal": f"{error} (on a worker of the cluster)"})
-
-
-def _check_maker(plan: DatasetPlan) -> None:
-    from fringebench.datasets.execution.maker import made_with
-
-    plan.require_maker(made_with())
 
 
 def _answer(plan: DatasetPlan, future: Any, index: int) -> dict[str, Any]:

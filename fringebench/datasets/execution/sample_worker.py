@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from fringebench.datasets.dataset_plan import DatasetPlan
+from fringebench.datasets.execution.maker import made_with
 from fringebench.datasets.sample import attempt
 from scenes.support.errors import FringebenchError
 
@@ -34,8 +35,6 @@ def main() -> None:
     orders = _Orders(sys.stdin)
     try:
         plan = DatasetPlan.loads(json.loads(orders.next()), "the plan")
-        from fringebench.datasets.execution.maker import made_with
-
         plan.require_maker(made_with())
         scene = plan.load_scene()
         confine()
