@@ -1,6 +1,6 @@
 """Stack to reconstruction: which way of decoding a stack needs."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 from decode.deflectometry import decode_mirror, require_projectors
 from decode.fusion.interface import FusionRule
@@ -29,6 +29,18 @@ from scenes.support.errors import DecodeError
 
 # Frames that give a pixel no projector coordinate.
 UNCODED = ("dots", "white", "black")
+# Options that make no sense with two cameras, those of their phases alone, and others that stereo by phase takes.
+NOT_OF_PAIRS = (
+    "c_px_per_mm",
+    "known_point",
+    "reference",
+    "axis",
+    "projector",
+    "height",
+    "uncertainty",
+)
+OF_PHASES = ("unwrap", "anchor", "gamma", "min_modulation_dn")
+SHARED = ("fusion", "exposure", "saturation", "roi", "min_relative_modulation", "max_order_residual", "backend")  # fmt: skip
 
 
 @known_options
@@ -202,22 +214,19 @@ def _pair(stack: Stack, options: Options) -> Reconstruction:
         raise DecodeError(
             "the frames are of two cameras, but the calibration is not: give one with a second_camera, both of model 'pinhole'"
         )
-    given = ("c_px_per_mm", "reference", "axis", "projector", "height")
-    for name in given:
-        value = getattr(options, name)
-        if value is not None and (name, value) != ("height", "triangulation"):
-            raise DecodeError(f"{name} does not apply to stacks of two cameras: leave it out")
     heights = options.height_range_mm or rig.height_range_mm
     cameras = rig.camera, rig.second_camera
     left, right = (_view(stack, camera) for camera in (0, 1))
-    if all(frame.kind in UNCODED for frame in left.patterns):
+    plain = all(frame.kind in UNCODED for frame in left.patterns)
+    for name in (*NOT_OF_PAIRS, *(OF_PHASES if plain else ("matcher",))):
+        value = getattr(options, name)
+        if value not in (None, "sensor") and (name, value) != ("height", "triangulation"):
+            what = "two cameras" + (" without fringes" if plain else " with fringes")
+            raise DecodeError(f"{name} does not apply to stacks of {what}: leave it out")
+    if plain:
         found = match(left, right, cameras, heights, options)
     else:
-        if options.matcher is not None:
-            raise DecodeError("matcher is for pictures without fringes: leave it out")
-        shared = {f.name: getattr(options, f.name) for f in fields(options)}
-        unused = (*given, "height_range_mm", "matcher")
-        choices = {name: value for name, value in shared.items() if name not in unused}
+        choices = {name: getattr(options, name) for name in (*OF_PHASES, *SHARED)}
         found = stereo(left, right, cameras, heights, **choices)
     return replace(found, calibration=rig)
 
@@ -231,5 +240,9 @@ def _view(stack: Stack, camera: int) -> Stack:
         )
     own = tuple(replace(stack.patterns[i], camera=0) for i in at)
     return replace(
-        stack, frames=stack.frames[:, at[0] : at[-1] + 1], patterns=own, calibration=None
+        stack,
+        frames=stack.frames[:, at[0] : at[-1] + 1],
+        patterns=own,
+        calibration=None,
+        projector_resolution=stack.projector_size(),
     )

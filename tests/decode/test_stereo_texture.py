@@ -16,7 +16,7 @@ from scenes.rig.calibration import Calibration
 from scenes.rig.devices import LookAt, Pinhole
 from scenes.support.errors import DecodeError
 from tests.decode.synthetic import LENS, rig
-from tests.decode.test_stereo_phase import heights
+from tests.decode.test_stereo_phase import BOTH, heights, look
 
 HEIGHTS = (-1.0, 4.0)
 DOTS = Frame("column", 4.0, 0, 1, 0.0, kind="dots")
@@ -109,11 +109,32 @@ def test_a_saturated_pixel_has_its_reason_and_other_exposures_help() -> None:
     assert rec.valid.mean() > 0.5
 
 
+def test_a_pair_with_fringes_is_decoded_by_phase() -> None:
+    eyes = camera((0.0, 2.0, 60.0)), camera(RIGHT)
+    (left, height), (right, _) = (look(eye, BOTH, 0.0, 0) for eye in eyes)
+    lamps = rig("pinhole", "pinhole").projectors
+    calibration = Calibration(
+        camera=eyes[0], second_camera=eyes[1], projectors=lamps, height_range_mm=HEIGHTS
+    )
+    patterns = (*left.patterns, *(replace(frame, camera=1) for frame in right.patterns))
+    frames = np.concatenate([left.frames, right.frames], axis=1)
+    stack = replace(left, frames=frames, patterns=patterns, calibration=calibration)
+    rec = decode.reconstruct(stack, saturation="ignore")
+    assert rec.calibration == calibration
+    # As the two stacks by themselves, tests/decode/test_stereo_phase.py.
+    assert np.abs(rec.height_mm - height)[rec.valid].max() < 2e-3
+    assert rec.valid.mean() > 0.6
+    with pytest.raises(DecodeError, match="matcher does not apply to stacks of two cameras with"):
+        decode.reconstruct(stack, matcher="bm")
+
+
 @pytest.mark.parametrize(
     ("change", "options", "said"),
     [
         ({}, {"height": "linear"}, "height does not apply to stacks of two cameras"),
         ({}, {"axis": "row"}, "axis does not apply"),
+        ({}, {"gamma": 2.0}, "gamma does not apply to stacks of two cameras without fringes"),
+        ({}, {"uncertainty": "by-cause"}, "uncertainty does not apply"),
         ({}, {"matcher": "census"}, "sgbm"),
         ({}, {"height_range_mm": (55.0, 70.0)}, "not in front of both cameras"),
         ({"calibration": None}, {}, "second_camera"),
