@@ -1,8 +1,9 @@
 """Why a pixel is not to be trusted: one reason each, the first that applies in the order of `Reason`."""
 
-from enum import IntEnum
+from enum import IntEnum, unique
 
 
+@unique
 class Reason(IntEnum):
     """Codes of `Reconstruction.reason`."""
 
