@@ -109,13 +109,15 @@ class Kernel:
         return rec, Signs(periods, tuple(visibility), sigma_rad, mm_per_rad)
 
     def _signs(self, measured: AxisLanes) -> list[Lanes]:
-        """Sensor noise of the finest phase in rad, then B / A of each period."""
+        """Sensor noise of the finest phase in rad, then B / A of each period, unless samples may be clipped."""
         black, device = self._plan.stack.sensor.black_level_dn, self._device
+        # Clipping changes the modulation of fine and coarse fringes differently.
+        clean = measured.phasors if self._plan.options.saturation == "reject" else ()
         return [
             device.root(measured.phasor.variance_rad2),
             *(
                 device.root(p.cosine * p.cosine + p.sine * p.sine) / (p.offset - black)
-                for p in measured.phasors
+                for p in clean
             ),
         ]
 
