@@ -74,6 +74,22 @@ def test_brightness_of_each_frame_is_measured(steps: int, gamma: float, clip: fl
     assert names["column fringes of 16 px, brightness"] in ("warning", "wrong")
 
 
+@pytest.mark.parametrize(
+    ("sigmas", "verdict"), [(1.0, "ok"), (4.0, "warning"), (6.5, "warning"), (12.0, "wrong")]
+)
+def test_verdict_is_graded_by_phase_error_over_noise(sigmas: float, verdict: str) -> None:
+    """A warning from 2 of the best pixels' standard deviations on, wrong from 8."""
+    one = measured_flicker(
+        taken(FLICKER[4]), fringe_sets(taken(FLICKER[4]).patterns, 0)["column"][-1], 0
+    )
+    assert one is not None
+    # The error is proportional to the change of brightness.
+    factor = sigmas / (one.error_rad / one.sigma_rad)
+    stack = taken(1.0 + factor * (FLICKER[4] - 1.0))
+    found = {f.name: f.verdict for f in flicker_findings(stack)}
+    assert found["column fringes of 16 px, brightness"] == verdict
+
+
 @pytest.mark.parametrize("steps", FLICKER)
 def test_equalised_frames_decode_as_if_the_source_were_steady(steps: int) -> None:
     steady, bent = taken(np.ones(steps)), taken(FLICKER[steps])

@@ -51,6 +51,16 @@ def test_any_period_set_is_decoded_where_its_coarsest_period_is_unambiguous(
     assert (np.abs(rec.height_mm - truth) < 6.5 * rec.sigma_mm).all()
 
 
+@pytest.mark.parametrize("height_mm", [-0.19, 0.69])
+def test_a_period_as_wide_as_the_volume_is_right_at_both_of_its_ends(height_mm: float) -> None:
+    # 0.9 mm and their margin of a tenth shift the fringe by 5 px: half a period about the middle reaches both ends.
+    truth = np.full((48, 64), height_mm)
+    shown = PhaseShift(periods_px=(5.3,))
+    rec = decode.reconstruct(calibrated_stack(rig(heights_mm=(-0.2, 0.7)), truth, shown))
+    assert rec.settings["unwrap"] == "volume"
+    assert np.abs(rec.height_mm - truth).max() < 2e-5
+
+
 def test_one_period_suffices_when_the_volume_is_shallow() -> None:
     truth = hills(top_mm=0.5)
     calibration = rig(heights_mm=(-0.2, 0.7))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from decode.checks.stack_check import _misfit
-from decode.phase.gamma import Harmonics, harmonics
+from decode.phase.gamma import Harmonics, _from_histogram, harmonics
 from decode.phase.n_step import fringe_sets
 from scenes.acquisition.patterns import PhaseShift
 from scenes.acquisition.sensor import SimpleSensor
@@ -69,3 +69,29 @@ def test_gamma_counts_beyond_a_tenth_and_four_standard_deviations(
     # d(gamma) = 3 d(second), near gamma 1.
     found = Harmonics((gamma - 1.0) / 3.0, error, gamma, 0.0, 0.0, 0.0)
     assert (found.bent, found.linear) == (bent, linear)
+
+
+@pytest.mark.parametrize("first_rad", [0.0, 0.5, -2.0])
+def test_three_step_histogram_shows_the_second_harmonic_wherever_steps_begin(
+    first_rad: float,
+) -> None:
+    # Light of A + cos(x) + 0.05 cos(2 x), seen by steps of a third of a turn, over a uniform x.
+    true = np.linspace(0.0, 2.0 * np.pi, 30_000, endpoint=False)
+    shifts = first_rad + np.arange(3) * 2.0 * np.pi / 3.0
+    angle = true + shifts[:, None]
+    seen = np.cos(angle) + 0.05 * np.cos(2.0 * angle)
+    phase = -np.angle((seen * np.exp(1j * shifts)[:, None]).sum(axis=0))
+    # First order in 0.05: the next is a few per cent of it.
+    assert _from_histogram(phase, shifts)[0] == pytest.approx(0.05, rel=0.05)
+
+
+@pytest.mark.parametrize(("uneven", "usable"), [(0.2, True), (0.48, False)])
+def test_histogram_of_a_surface_with_phases_of_its_own_shows_nothing(
+    uneven: float, usable: bool
+) -> None:
+    """Phases with density 1 + c cos x have an RMS harmonic of c / 4 over the four that are looked at: 1/12 is the limit."""
+    grid = np.linspace(-np.pi, np.pi, 100_001)
+    even = np.linspace(-np.pi, np.pi, 20_000)
+    phase = np.interp(even, grid + uneven * np.sin(grid), grid)
+    found = _from_histogram(phase, np.arange(3) * 2.0 * np.pi / 3.0)
+    assert np.isfinite(found).all() == usable
