@@ -123,6 +123,15 @@ def test_all_rules_are_the_n_step_phase_where_there_is_nothing_to_fuse() -> None
         assert np.abs(off).max() < 2e-6, rule
 
 
+def test_unrounded_samples_are_not_censored_at_zero() -> None:
+    """A sensor without bits does not clip at 0, so negative samples count as they are."""
+    phase = np.random.default_rng(8).uniform(-np.pi, np.pi, (40, 50))
+    stack = capture(phase, 25.0, 30.0, (1.0,), SimpleSensor(sigma_dn=1.0, bits=0), seed=9)
+    assert (stack.frames < 0.0).mean() > 0.1
+    one, two = (phases(stack, rule) for rule in ("censored-ml", "masked-least-squares"))
+    np.testing.assert_array_equal(one.wrapped_rad, two.wrapped_rad)
+
+
 @pytest.mark.parametrize("rule", ["single", *HDR])
 @pytest.mark.parametrize(
     ("sensor", "steps"),

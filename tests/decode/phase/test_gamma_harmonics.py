@@ -10,6 +10,8 @@ from scenes.acquisition.patterns import PhaseShift
 from scenes.acquisition.sensor import SimpleSensor
 from scenes.files.stack import Stack
 
+THIRDS = np.linspace(0.0, 2.0 * np.pi, 3, endpoint=False)
+
 
 def measured(steps: int, sigma_dn: float, seed: int) -> Harmonics:
     """Of ideal sinusoids with noise, each pixel at a phase of its own."""
@@ -77,7 +79,7 @@ def test_three_step_histogram_shows_the_second_harmonic_wherever_steps_begin(
 ) -> None:
     # Light of A + cos(x) + 0.05 cos(2 x), seen by steps of a third of a turn, over a uniform x.
     true = np.linspace(0.0, 2.0 * np.pi, 30_000, endpoint=False)
-    shifts = first_rad + np.arange(3) * 2.0 * np.pi / 3.0
+    shifts = first_rad + THIRDS
     angle = true + shifts[:, None]
     seen = np.cos(angle) + 0.05 * np.cos(2.0 * angle)
     phase = -np.angle((seen * np.exp(1j * shifts)[:, None]).sum(axis=0))
@@ -93,5 +95,5 @@ def test_histogram_of_a_surface_with_phases_of_its_own_shows_nothing(
     grid = np.linspace(-np.pi, np.pi, 100_001)
     even = np.linspace(-np.pi, np.pi, 20_000)
     phase = np.interp(even, grid + uneven * np.sin(grid), grid)
-    found = _from_histogram(phase, np.arange(3) * 2.0 * np.pi / 3.0)
+    found = _from_histogram(phase, THIRDS)
     assert np.isfinite(found).all() == usable

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from scenes.rig.devices import Extrinsics, LookAt, Pinhole, Telecentric
 from scenes.rig.projection import distort, monotone_radius, undistort
+from scenes.rig.projectors import PinholeProjector
 from scenes.support.errors import SceneError
 
 DISTORTION = (-0.12, 0.05, 8e-4, -5e-4, 0.01)
@@ -108,3 +109,19 @@ def test_points_at_a_height_are_in_that_plane_and_on_their_pixels_ray() -> None:
         np.testing.assert_allclose(points[..., 2], height, atol=ROUNDING)
         pixels, _ = geometry.project(points)
         assert np.nanmax(np.abs(pixels - geometry.pixel_centres())) < ROUNDING * 640
+
+
+def test_a_projector_of_so_many_bits_shows_so_many_levels() -> None:
+    device = PinholeProjector(
+        pose=LookAt(origin_mm=(0, 0, 100)),
+        resolution=(64, 48),
+        fx_px=100,
+        fy_px=100,
+        cx_px=32,
+        cy_px=24,
+        reference_mm=100,
+        bits=2,
+    )
+    # Two bits: thirds, each for the commanded values nearest to it.
+    shown = device.emit(np.array([0.0, 0.16, 0.17, 0.49, 0.51, 0.83, 0.84, 1.0]))
+    np.testing.assert_allclose(shown, np.array([0, 0, 1, 1, 2, 2, 3, 3]) / 3.0)
