@@ -135,7 +135,10 @@ def test_another_rigs_calibration_is_seen() -> None:
     report = check(
         replace(stack, calibration=CALIBRATION.model_copy(update={"projectors": (other,)}))
     )
-    assert any(f.name == "calibration" for f in report.wrong)
+    wrong = [f for f in report.wrong if f.name == "calibration"]
+    assert "is not this rig's" in wrong[0].message
+    (right,) = (f for f in check(stack).findings if f.name == "calibration")
+    assert (right.verdict, "is not this rig's" in right.message) == ("ok", False)
 
 
 def test_exposure_times_in_the_wrong_order_are_seen() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from decode.checks.stack_check import _misfit
-from decode.phase.gamma import Harmonics, _from_histogram, harmonics
+from decode.phase.gamma import Harmonics, _from_histogram, harmonics, response
 from decode.phase.n_step import fringe_sets
 from scenes.acquisition.patterns import PhaseShift
 from scenes.acquisition.sensor import SimpleSensor
@@ -97,3 +97,19 @@ def test_histogram_of_a_surface_with_phases_of_its_own_shows_nothing(
     phase = np.interp(even, grid + uneven * np.sin(grid), grid)
     found = _from_histogram(phase, THIRDS)
     assert np.isfinite(found).all() == usable
+
+
+@pytest.mark.parametrize(
+    ("gammas", "found"), [((1.5, 1.5), 1.5), ((1.5, 1.0), None), ((1.0, 1.0), None)]
+)
+def test_a_response_is_one_that_all_sets_show(
+    gammas: tuple[float, float], found: float | None
+) -> None:
+    """One linear set among bent ones: what bends them is not the projector's response."""
+    patterns = PhaseShift(steps=5, periods_px=(16.0, 80.0))
+    shown = patterns.frames()
+    by_period = dict(zip(patterns.periods_px, gammas, strict=True))
+    column = np.random.default_rng(3).uniform(0.0, 400.0, (50, 80))
+    frames = [200.0 * patterns.commanded(f, column) ** by_period[f.period_px] for f in shown]
+    stack = Stack(np.array([frames], np.float32), shown, (1.0,), SimpleSensor(sigma_dn=0.1, bits=0))
+    assert response(stack) == (None if found is None else pytest.approx(found, abs=0.02))
