@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -36,3 +37,18 @@ def finish(process: subprocess.Popen[str], timeout_s: float = 600) -> tuple[int,
         process.communicate()
         raise
     return process.returncode, out, err
+
+
+def program(
+    script: str, *words: object, folder: Path | None = None, env: Mapping[str, str] | None = None
+) -> subprocess.CompletedProcess[str]:
+    """An indented Python program, run in a process of its own with the project's packages."""
+    return subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(script), *map(str, words)],
+        env=os.environ | {"PYTHONPATH": str(ROOT)} | dict(env or {}),
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+    )

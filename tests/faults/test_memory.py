@@ -1,11 +1,8 @@
 """Requests beyond memory are refused before they start, with what they need, what is free and what to change."""
 
-import os
 import re
 import struct
-import subprocess
 import sys
-import textwrap
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,7 +15,7 @@ import scenes
 from scenes.files import exr
 from scenes.support import mapped, memory
 from scenes.support.errors import FileError, TooLargeError
-from tests.faults.commands import ROOT
+from tests.faults.commands import program
 
 Call = Callable[..., tuple[int, str, str]]
 GIB = 2**30
@@ -135,13 +132,7 @@ def test_hard_memory_limit_gives_an_error_and_no_crash() -> None:
         """
     outcomes = []
     for width, gib in ((1600, 0.1), (1600, 0.25), (1600, 0.31), (1600, 0.6), (12_000, 1.0)):
-        done = subprocess.run(
-            [sys.executable, "-c", textwrap.dedent(script), str(width), str(gib)],
-            env=os.environ | {"PYTHONPATH": str(ROOT)},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        done = program(script, width, gib)
         assert done.returncode == 0, (width, gib, done.returncode, done.stderr[-500:])
         outcomes.append(done.stdout.split()[0])
     assert outcomes[0] == outcomes[-1] == "refused"
@@ -163,14 +154,7 @@ def test_address_space_too_small_for_the_libraries_ends_in_one_line(
         from fringebench.cli.app import main
         main()
         """
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(script)],
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = program(script, folder=tmp_path)
     assert done.returncode == 2
     assert re.fullmatch(
         r"fringebench: .* address space \(ulimit -v\).*raise the limit.*\n", done.stderr
@@ -233,14 +217,7 @@ def test_exr_header_that_claims_too_much_allocates_no_memory(tmp_path: Path) -> 
             raise SystemExit(f"{{path}} was read")
         print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
         """
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(script)],
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-    )
+    done = program(script)
     assert done.returncode == 0, done.stderr
     # A few pages of code, no images.
     assert int(done.stdout) < 20_000

@@ -107,14 +107,18 @@ def measured_pads(rec: decode.Reconstruction, board: BoardTruth, **options: Any)
 
 
 @pytest.fixture(scope="module")
+def board(scene: scenes.Scene) -> BoardTruth:
+    return scenes.board_truth(scene)
+
+
+@pytest.fixture(scope="module")
 def heights(scene: scenes.Scene) -> decode.Reconstruction:
     return exact(scene)
 
 
 def test_exact_heights_give_the_true_volume_area_and_offset(
-    scene: scenes.Scene, heights: decode.Reconstruction
+    board: BoardTruth, heights: decode.Reconstruction
 ) -> None:
-    board = scenes.board_truth(scene)
     for pad, true in zip(measured_pads(heights, board, threshold_mm=0.0), board.pads, strict=True):
         # A pixel's centre decides for all of it. Where the outline cuts pixels, each errs by a uniform share of one:
         # sd 0.29 pixels for each that the outline crosses if they were independent. Along a straight side they are
@@ -160,9 +164,8 @@ def test_threshold_removes_more_of_small_pads(scene: scenes.Scene) -> None:
 
 
 def test_tilted_and_raised_board_measures_the_same(
-    scene: scenes.Scene, heights: decode.Reconstruction
+    board: BoardTruth, heights: decode.Reconstruction
 ) -> None:
-    board = scenes.board_truth(scene)
     x = heights.xyz_mm[..., 0]
     y = heights.xyz_mm[..., 1]
     # 0.5 degrees and 30 um: within the tolerance of a board on its table.
@@ -190,9 +193,8 @@ def test_bare_board_scan_removes_the_copper_step(scene: scenes.Scene) -> None:
 
 
 def test_noise_below_the_threshold_adds_no_volume(
-    scene: scenes.Scene, heights: decode.Reconstruction
+    board: BoardTruth, heights: decode.Reconstruction
 ) -> None:
-    board = scenes.board_truth(scene)
     rng = np.random.default_rng(3)
     sigma = 0.005
     noisy = replace(
@@ -210,9 +212,8 @@ def test_noise_below_the_threshold_adds_no_volume(
 
 
 def test_pad_that_was_not_seen_is_not_measured(
-    scene: scenes.Scene, heights: decode.Reconstruction
+    board: BoardTruth, heights: decode.Reconstruction
 ) -> None:
-    board = scenes.board_truth(scene)
     x = heights.xyz_mm[..., 0]
     reason = np.where(x > 0.0, decode.Reason.SHADOW, heights.reason).astype(np.uint8)
     for pad, true in zip(
@@ -292,9 +293,8 @@ def test_each_defect_is_judged_from_exact_heights_as_from_the_truth(
 
 
 def test_confusion_counts_escapes_and_false_calls(
-    scene: scenes.Scene, heights: decode.Reconstruction
+    board: BoardTruth, heights: decode.Reconstruction
 ) -> None:
-    board = scenes.board_truth(scene)
     measured = list(measured_pads(heights, board))
     # Two pads that are good are read as half empty, and the truth's third is called empty though read full.
     for i in (0, 1):
@@ -307,9 +307,8 @@ def test_confusion_counts_escapes_and_false_calls(
 
 
 def test_boards_and_parameters_that_do_not_fit_are_refused(
-    scene: scenes.Scene, heights: decode.Reconstruction
+    board: BoardTruth, heights: decode.Reconstruction
 ) -> None:
-    board = scenes.board_truth(scene)
     with pytest.raises(ScoreError, match="threshold_mm = -1"):
         measured_pads(heights, board, threshold_mm=-1.0)
     with pytest.raises(ScoreError, match="no calibration"):

@@ -2,10 +2,8 @@
 
 import mmap
 import os
-import subprocess
 import sys
 import tempfile
-import textwrap
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,9 +16,8 @@ import render
 import scenes
 from scenes.support import mapped, memory
 from scenes.support.errors import TooLargeError
+from tests.faults.commands import program
 from tests.scenes.files.test_exr import full_disk
-
-ROOT = Path(__file__).parents[3]
 
 
 def in_a_file(array: np.ndarray) -> bool:
@@ -184,17 +181,8 @@ def test_memory_does_not_grow_with_frames(tmp_path: Path) -> None:
     room = 350 * 2**20
     outcomes = {}
     for frames, held in ((12, 0), (120, 0), (120, 2**30)):
-        done = subprocess.run(
-            [
-                *(sys.executable, "-c", textwrap.dedent(PEAK), str(tmp_path / "a.exr")),
-                *map(str, (frames // 2, held, room)),
-            ],
-            env=os.environ | {"PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)},
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=300,
-        )
+        words = (tmp_path / "a.exr", frames // 2, held, room)
+        done = program(PEAK, *words, env={"TMPDIR": str(tmp_path)})
         assert done.returncode == 0, (frames, held, done.stderr[-500:])
         outcomes[frames, held] = done.stdout.split()[0]
     assert outcomes == {(12, 0): "True", (120, 0): "True", (120, 2**30): "refused"}
