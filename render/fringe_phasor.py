@@ -13,6 +13,9 @@ from scenes.scene import Scene
 
 Floats = NDArray[np.float64]
 
+# Variance of a phase that is not known at all, rad^2.
+ANY_PHASE = np.pi**2 / 3.0
+
 
 @dataclass(frozen=True)
 class FinestFringe:

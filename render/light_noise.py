@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from render.chip_image import Image
 from render.exposure_time import exposure_times_ms
 from render.fringe_phasor import FinestFringe, finest_fringes, measuring_axis
-from render.point_spread import blurred, spread_kernel
+from render.phasor_noise import phase_variance
+from render.point_spread import spread_kernel
 from render.transport import Transport
 from scenes.acquisition.fringe_fit import STRAY_FRACTION
 
@@ -132,24 +133,22 @@ def chosen(images: NDArray[np.floating], noise: SensorNoise) -> Floats:
 
 
 def on_chip(transport: Transport) -> NDArray[np.float32]:
-    """The transport's `noise_rad` behind the sensor's lens, whose blur averages the noise of neighbours."""
+    """The transport's `noise_rad` behind the sensor's lens, (fringe, projector, row, col).
+
+    Of old files, which know only the noise of the phase, noise along the phasor counts as much as noise across it.
+    """
     assert transport.noise_rad is not None
     kernel = spread_kernel(transport.scene.sensor)
     if kernel is None:
         return transport.noise_rad
-    seen = Image.of(transport, transport.scene.sensor).light
     result = np.empty_like(transport.noise_rad)
     for f, fringe in enumerate(finest_fringes(transport.scene.patterns, transport.bases)):
         for p, basis in enumerate(transport.bases):
-            count = slice(len(basis.channels))
-            sharp, soft = (
-                (fringe.phasor(light[p, count], p) ** 2).sum(axis=0)
-                for light in (transport.total, seen)
-            )
-            noise = np.nan_to_num(transport.noise_rad[f, p].astype(np.float64) ** 2 * sharp)
-            spread = blurred(noise.astype(np.float32), kernel**2)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                result[f, p] = np.sqrt(np.maximum(spread, 0.0) / soft)
+            cosine, sine = fringe.phasor(transport.total[p, : len(basis.channels)], p)
+            across = along = np.nan_to_num(transport.noise_rad[f, p] * np.hypot(cosine, sine)) ** 2
+            if transport.amplitude_noise is not None:
+                along = np.nan_to_num(transport.amplitude_noise[f, p].astype(np.float64)) ** 2
+            result[f, p] = np.sqrt(phase_variance(cosine + 1j * sine, across, along, kernel))
     return result
 
 

@@ -20,6 +20,8 @@ from scenes.support.notebook import Displayed, Plane
 from scenes.support.validation_words import in_words
 
 KIND = "transport"
+# Layers of the light paths' noise.
+PHASE, AMPLITUDE = "render_noise_rad", "amplitude_noise"
 # What the names of the second camera's layers start with.
 SECOND = "second."
 # A ratio that was reached may miss its target by so much, its own uncertainty, and count as met.
@@ -105,6 +107,9 @@ class Transport(Displayed):
     """Of a trace that was to bring it below a share of the sensor's noise."""
     second: "Transport | None" = None
     """What the second camera of a pair receives; its `scene` has that camera alone."""
+    amplitude_noise: NDArray[np.float32] | None = None
+    """Of the shape of `noise_rad`: standard deviation of that fringe's modulation from light paths alone, W/(m^2 sr). Behind a lens
+    it disturbs the phase of neighbours. None: not known."""
 
     @property
     def render_noise_rad(self) -> NDArray[np.float32] | None:
@@ -176,7 +181,8 @@ class Transport(Displayed):
                 "total": "W/(m^2 sr)",
                 "direct": "W/(m^2 sr)",
                 "ambient": "W/(m^2 sr)",
-                "render_noise_rad": "rad",
+                PHASE: "rad",
+                AMPLITUDE: "W/(m^2 sr)",
             },
             "labels": list(self.labels),
             "bases": [
@@ -205,14 +211,11 @@ class Transport(Displayed):
             for c in range(len(basis.channels)):
                 channels[f"P{p}.total.C{c:03d}"] = self.total[p, c]
                 channels[f"P{p}.direct.C{c:03d}"] = self.direct[p, c]
-        for (f, p), name in self._noise_layers().items():
-            assert self.noise_rad is not None
-            channels[name] = self.noise_rad[f, p]
+        for kind, images in ((PHASE, self.noise_rad), (AMPLITUDE, self.amplitude_noise)):
+            if images is not None:
+                for (f, p), name in noise_layers(self.scene, self.bases, kind).items():
+                    channels[name] = images[f, p]
         return channels
-
-    def _noise_layers(self) -> dict[tuple[int, int], str]:
-        """Number of fringe and projector -> layer of `noise_rad`."""
-        return {} if self.noise_rad is None else noise_layers(self.scene, self.bases)
 
     @classmethod
     def read(cls, path: str | Path) -> Self:
@@ -238,7 +241,7 @@ class Transport(Displayed):
                 )
 
                 def view(scene: Scene, prefix: str = "", second: Self | None = None) -> Self:
-                    layers = noise_layers(scene, bases)
+                    layers = [noise_layers(scene, bases, kind) for kind in (PHASE, AMPLITUDE)]
                     light, ambient, label, noise = _images(
                         bands, bases, layers, f"'{path}'", prefix
                     )
@@ -254,9 +257,10 @@ class Transport(Displayed):
                         sampling.samples,
                         sampling.depth,
                         None if prefix else limits[0],
-                        noise,
+                        noise[0],
                         None if prefix else limits[1],
                         second,
+                        noise[1],
                     )
 
                 pair = scene.second_camera is not None
@@ -267,34 +271,34 @@ class Transport(Displayed):
                 ) from error
 
 
-def noise_layers(scene: Scene, bases: Sequence[Basis]) -> dict[tuple[int, int], str]:
-    """Number of fringe and projector -> layer of the light paths' noise in a transport file."""
+def noise_layers(scene: Scene, bases: Sequence[Basis], kind: str) -> dict[tuple[int, int], str]:
+    """Number of fringe and projector -> layer of this kind of the light paths' noise in a transport file."""
     fringes = finest_fringes(scene.patterns, bases)
     layers = {
-        (f, p): f"P{p}.render_noise_rad.{fringe.axis}"
+        (f, p): f"P{p}.{kind}.{fringe.axis}"
         for f, fringe in enumerate(fringes)
         for p in range(len(bases))
     }
     if fringes:
         measuring = measuring_axis(scene, [fringe.axis for fringe in fringes])
-        layers[measuring, 0] = "render_noise_rad"
+        layers[measuring, 0] = kind
     return layers
 
 
 def _images(
     bands: Bands,
     bases: Sequence[Basis],
-    layers: Mapping[tuple[int, int], str],
+    layers: Sequence[Mapping[tuple[int, int], str]],
     source: str,
     prefix: str = "",
 ) -> tuple[
-    NDArray[np.float32], NDArray[np.float32], NDArray[np.uint16], NDArray[np.float32] | None
+    NDArray[np.float32], NDArray[np.float32], NDArray[np.uint16], list[NDArray[np.float32] | None]
 ]:
-    """Light (total and direct, projector, channel, row, col), ambient light, labels, and noise in those layers, if any.
+    """Light (total and direct, projector, channel, row, col), ambient light, labels, and noise of each kind, if there is any.
 
     All names start with `prefix`. Raises `KeyError` if one of the others is missing.
     """
-    noise: NDArray[np.float32] | None = None
+    noise: list[NDArray[np.float32] | None] = [None for _ in layers]
     most = max(len(basis.channels) for basis in bases)
     ambient, label = np.empty((0, 0), np.float32), np.empty((0, 0), np.uint16)
     light: NDArray[Any] | None = None
@@ -311,12 +315,15 @@ def _images(
                     images[p, c, rows] = channels[f"{prefix}P{p}.{kind}.C{c:03d}"]
         ambient[rows] = channels[f"{prefix}ambient"]
         label[rows] = exr.whole(channels[f"{prefix}label"], np.uint16)
-        if layers and all(prefix + name in channels for name in layers.values()):
-            if noise is None:
-                fringes = 1 + max(f for f, _ in layers)
-                noise = np.empty((fringes, len(bases), *bands.size), np.float32)
-            for (f, p), name in layers.items():
-                noise[f, p, rows] = channels[prefix + name]
+        for which, names in enumerate(layers):
+            if names and all(prefix + name in channels for name in names.values()):
+                known = noise[which]
+                if known is None:
+                    fringes = 1 + max(f for f, _ in names)
+                    known = np.empty((fringes, len(bases), *bands.size), np.float32)
+                    noise[which] = known
+                for (f, p), name in names.items():
+                    known[f, p, rows] = channels[prefix + name]
         mapped.release_pages(light)
     assert light is not None  # an image has a row
     return light, ambient, label, noise

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from render.fringe_phasor import FinestFringe
+from render.fringe_phasor import ANY_PHASE, FinestFringe
 from render.pathtracer.path_kernel import Pass
 
 # Numbers that a chunk of lanes may return at once: 64 MB of float32.
@@ -25,8 +25,6 @@ CHUNK_S = 1.0
 FIRST_CHUNK_PATHS = 1 << 20
 # Blocks of a pixel's second half are numbered from here.
 SECOND_HALF = 1 << 24
-# Variance of a phase that is not known at all.
-ANY_PHASE = np.pi**2 / 3.0
 
 Counts = NDArray[np.uint32]
 Images = NDArray[np.float32]
@@ -95,10 +93,13 @@ def add(have: BlockLight, number: Counts, new: BlockLight, more: Counts, at: Any
     return number
 
 
-def phase_variance(
+def phasor_variance(
     blocks: Sequence[tuple[NDArray[np.intp], NDArray[np.complex64]]], number: Counts, halves: int
-) -> NDArray[np.float32]:
-    """Variance of the phase of all light, rad^2 (fringe, projector, pixel), by the jackknife; NaN without a fringe.
+) -> tuple[Images, Images]:
+    """Variances of the phase, rad^2, and of the modulation of all light, (fringe, projector, pixel), by the jackknife.
+
+    That of the phase is NaN without a fringe, both are for one block. The modulation's is what the phase's leaves of the
+    phasor's, so that together they are right where the phase is not known at all.
 
     `blocks` are the entry of each block and its phasor (fringe, projector, block); entries have `number` of them, and `halves`
     entries in a row are averaged with the same weight.
@@ -107,30 +108,34 @@ def phase_variance(
     weight = 1.0 / (halves * number.astype(np.float64))
     squares = (number * weight**2).reshape(pixels, halves).sum(axis=1)
     shape = blocks[0][1].shape[:-1]
-    variance = np.empty((*shape, pixels), np.float32)
+    phase = np.empty((*shape, pixels), np.float32)
+    amplitude = np.empty_like(phase)
     for at in np.ndindex(shape):
         own = [(entry // halves, weight[entry], z[at]) for entry, z in blocks]
         mean = np.zeros(pixels, np.complex128)
         for pixel, w, z in own:
             mean += np.bincount(pixel, w * z.real, pixels)
             mean += 1j * np.bincount(pixel, w * z.imag, pixels)
-        found = np.zeros(pixels)
+        found, whole_found = np.zeros(pixels), np.zeros(pixels)
         for pixel, w, z in own:
             whole = mean[pixel]
             off = np.angle((whole - w * z) * whole.conj())
             # Each block's distance from a mean that it is part of is too short by this.
-            scale = (1.0 - w) ** 2 / np.maximum(1.0 - 2.0 * w + squares[pixel], 1e-9)
-            found += np.bincount(pixel, scale * off**2, pixels)
+            scale = 1.0 / np.maximum(1.0 - 2.0 * w + squares[pixel], 1e-9)
+            found += np.bincount(pixel, scale * ((1.0 - w) * off) ** 2, pixels)
+            whole_found += np.bincount(pixel, scale * (w * np.abs(z - whole)) ** 2, pixels)
         found = np.minimum(found, ANY_PHASE)
+        left = np.maximum(whole_found - found * np.abs(mean) ** 2, 0.0)
         found[(mean == 0.0) | (squares >= 1.0)] = np.nan
-        variance[at] = found
-    return variance
+        left[squares >= 1.0] = np.nan
+        phase[at], amplitude[at] = found, left
+    return phase, amplitude
 
 
 def scatter_about_direct(light: BlockLight, number: Counts) -> Floats:
-    """Variance of one block's phase from direct and from indirect light, rad^2 (part, fringe, projector, entry).
+    """Variance of one block across and along its phasor from direct and from indirect light, (part, 2, fringe, projector, entry).
 
-    About the phasor of direct light alone, which few paths know well; one bright path among few pulls the phasor of all light
+    Relative to the square of the modulation, so that the first is that of the phase, rad^2. About the phasor of direct light alone, which few paths know well; one bright path among few pulls the phasor of all light
     towards itself, and looks harmless. NaN for one block or without a fringe.
     """
     first = np.cumsum(number, dtype=np.int64) - number
@@ -140,17 +145,19 @@ def scatter_about_direct(light: BlockLight, number: Counts) -> Floats:
         """Of each entry's blocks."""
         return np.add.reduceat(z, first) / number
 
-    result = np.empty((2, *light.phasor.shape[1:3], number.size))
+    result = np.empty((2, 2, *light.phasor.shape[1:3], number.size))
     for f, p in np.ndindex(light.phasor.shape[1:3]):
         total, direct = light.phasor[:, f, p].astype(np.complex128)
         own = mean(direct)
         # Where there is hardly any direct light, the phase is not its own either.
-        power = np.maximum(np.abs(own) ** 2, np.abs(mean(total)) ** 2 / 4.0)
-        for part, z in enumerate((direct, total - direct)):
-            with np.errstate(divide="ignore", invalid="ignore"):
-                off = (z * own[local].conj()).imag / power[local]
+        modulation = np.maximum(np.abs(own), np.abs(mean(total)) / 2.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            unit = (own.conj() / np.abs(own) / modulation)[local]
+            for part, z in enumerate((direct, total - direct)):
+                off = z * unit
                 off -= mean(off)[local]
-                result[part, f, p] = mean(off * off) * number / (number - 1)
+                for way, side in enumerate((off.imag, off.real)):
+                    result[part, way, f, p] = mean(side * side) * number / (number - 1)
     return result
 
 

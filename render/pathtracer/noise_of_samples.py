@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from render.fringe_phasor import FinestFringe
-from render.pathtracer.block_light import ANY_PHASE, Blocks, trace_blocks
+from render.fringe_phasor import ANY_PHASE, FinestFringe
+from render.pathtracer.block_light import Blocks, trace_blocks
 from render.pathtracer.path_kernel import Pass
 
 # Stream of the second set's random numbers.
@@ -23,7 +23,7 @@ CELL = (2, 4)
 BAND = 1 << 16
 
 
-def noise_rad(
+def phasor_noise(
     pass_: Pass,
     total: NDArray[np.float32],
     label: NDArray[np.uint16],
@@ -31,13 +31,15 @@ def noise_rad(
     fringes: Sequence[FinestFringe],
     samples: int,
     seed: int,
-) -> NDArray[np.float32]:
-    """Standard deviation of the phase of a pass's light `total` (projector, channel, row, col), (fringe, projector, row, col)."""
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Standard deviations of the phase and of the modulation of a pass's light `total` (projector, channel, row, col),
+    (fringe, projector, row, col)."""
     rows, columns = label.shape
     measured = _one_of_each_cell(label.shape, seed)
     pixels = np.flatnonzero(measured).astype(np.uint32)
     light = total.reshape(*total.shape[:2], -1)
-    off = np.empty((len(fringes), len(channels), pixels.size))
+    # Across the phasor, which turns it, and along it.
+    off = np.empty((2, len(fringes), len(channels), pixels.size))
     for start in range(0, pixels.size, BAND):
         band = slice(start, start + BAND)
         pixel = pixels[band]
@@ -48,17 +50,21 @@ def noise_rad(
             for f, fringe in enumerate(fringes):
                 cosine, sine = fringe.phasor(light[p, :count, pixel].T, p)
                 # Times the modulation, which neighbours need not share.
-                difference = np.angle(again.phasor[0, f, p] * (cosine - 1j * sine))
-                off[f, p, band] = difference * np.hypot(cosine, sine) / np.sqrt(2.0)
+                other = again.phasor[0, f, p]
+                across = np.angle(other * (cosine - 1j * sine)) * np.hypot(cosine, sine)
+                whole = np.abs(other - cosine - 1j * sine)
+                along = np.sqrt(np.maximum(whole**2 - across**2, 0.0))
+                off[:, f, p, band] = np.abs([across, along]) / np.sqrt(2.0)
     near = np.cumsum(measured.ravel())[_nearest_of_label(measured, label).ravel()] - 1
-    noise = np.empty((len(fringes), len(channels), rows, columns), np.float32)
+    noise, amplitude = np.empty((2, len(fringes), len(channels), rows, columns), np.float32)
     for p, count in enumerate(channels):
         for f, fringe in enumerate(fringes):
             modulation = np.hypot(*fringe.phasor(total[p, :count], p))
             with np.errstate(divide="ignore", invalid="ignore"):
-                found = np.abs(off[f, p, near]).reshape(label.shape) / modulation
+                found = off[0, f, p, near].reshape(label.shape) / modulation
             noise[f, p] = np.minimum(found, np.sqrt(ANY_PHASE))
-    return noise
+            amplitude[f, p] = off[1, f, p, near].reshape(label.shape)
+    return noise, amplitude
 
 
 def _one_of_each_cell(shape: tuple[int, ...], seed: int) -> NDArray[np.bool_]:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from render.fringe_phasor import finest_fringes
-from render.pathtracer.noise_of_samples import BAND, noise_rad
+from render.pathtracer.noise_of_samples import BAND, phasor_noise
 from render.pathtracer.path_kernel import Pass
 from render.pathtracer.pixel_centres import label_map
 from render.pathtracer.tile_survey import Tiles, survey
@@ -25,8 +25,8 @@ from scenes.support.memory import room_for
 TILE_NUMBERS = 1 << 24
 # Memory per pixel while labels are found, as measured.
 LABEL_BYTES = 24
-# And while noise is measured: the nearest pixels, and noise for each projector of two axes.
-NEAREST_BYTES, NOISE_BYTES = 32, 8
+# And while noise is measured: the nearest pixels, and two kinds of noise for each projector of two axes.
+NEAREST_BYTES, NOISE_BYTES = 32, 16
 # Between tiles progress is reported and interrupts are handled. Starting one costs about 15 ms.
 TILE_S = 1.0
 FIRST_TILE_PATHS = 1 << 21
@@ -121,7 +121,11 @@ def _traced(
         rows = min(most, max(1, int(rows * min(faster, 4.0))))
     label = label_map(pass_.scene, pass_.camera, surfaces.ids, (height, width))
     fringes = finest_fringes(scene.patterns, bases)
-    noise = noise_rad(pass_, total, label, channels, fringes, samples, seed) if fringes else None
+    noise, amplitude = (
+        phasor_noise(pass_, total, label, channels, fringes, samples, seed)
+        if fringes
+        else (None, None)
+    )
     return Transport(
         total,
         direct,
@@ -134,6 +138,7 @@ def _traced(
         samples,
         depth,
         noise_rad=noise,
+        amplitude_noise=amplitude,
     )
 
 

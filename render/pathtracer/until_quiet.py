@@ -10,6 +10,7 @@ how many more blocks the other gets. What decides is never averaged with what it
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from render.pathtracer.block_light import (
     BlockLight,
     Blocks,
     add,
-    phase_variance,
+    phasor_variance,
     scatter_about_direct,
     trace_blocks,
 )
@@ -29,8 +30,10 @@ from render.pathtracer.path_budget import PILOT_PATHS, Pilot, blocks_needed, pil
 from render.pathtracer.path_kernel import Pass
 from render.pathtracer.pixel_centres import label_map, lit
 from render.pathtracer.tile_survey import Tiles
+from render.phasor_noise import through
 from render.plugins.shared_surfaces import Surfaces, shared
 from render.plugins.variant import use
+from render.point_spread import spread_kernel
 from render.transport import RenderNoise, Transport
 from scenes.acquisition.pattern_basis import Basis, basis
 from scenes.scene import Scene
@@ -155,28 +158,31 @@ def _traced(
     most = scene.sampling.most_samples
     first = pilot_blocks(label)
     quick = light(first, seed ^ PILOT_STREAM, done(0.0, PILOT_SHARE), direct=True)
-    varies = scatter_about_direct(quick, first.number)
     rough = transport(quick, first.total_paths)
-    pilot, sensor = _pilot(rough, varies, lit_px)
-    del quick, varies
-    blocks = blocks_needed(pilot, targets, most, indirect, pass_.lens).halved()
+    pilot, sensor = _pilot(rough, scatter_about_direct(quick, first.number), lit_px)
+    del quick
+    blocks, asked_by = blocks_needed(pilot, targets, most, indirect, pass_.lens)
+    blocks = blocks.halved()
     final = light(blocks, seed, done(PILOT_SHARE, 0.9 - PILOT_SHARE))
     number, paths = blocks.number, blocks.total_paths
     traced = [(np.repeat(np.arange(number.size), number), final.phasor[0])]
-    variance = phase_variance(traced, number, 1)
-    noisy = variance.reshape(*variance.shape[:2], height, width, 2)
-    halves = [_seen(rough, noisy[..., half], sensor) for half in (0, 1)]
+    known = (len(fringes), len(bases), height, width)
+    noise = [np.sqrt(v).reshape(*known, 2) for v in phasor_variance(traced, number, 1)]
+    halves = [
+        chosen(on_chip(_with_noise(rough, [part[..., half] for part in noise])), sensor) ** 2
+        for half in (0, 1)
+    ]
     excess = _excess(halves, pilot, targets)
     del rough
-    entry, more = _more(blocks, label, excess, most)
+    entry, more = _more(blocks, asked_by, excess, most)
     if entry.size:
         extra = blocks.more(entry, more)
         new = light(extra, seed, None)
         number, paths = add(final, number, new, more, entry), paths + extra.total_paths
         traced.append((np.repeat(entry, more), new.phasor[0]))
         del new
-    noise = np.sqrt(phase_variance(traced, number, 2)).reshape(*variance.shape[:2], height, width)
-    result = replace(transport(final, paths), noise_rad=noise)
+    noise = [np.sqrt(v).reshape(known) for v in phasor_variance(traced, number, 2)]
+    result = _with_noise(transport(final, paths), noise)
     ratios = render_to_sensor_noise(result, lit_px)
     reached = RenderNoise(
         target, {scene.labels[n - 1]: ratios.get(scene.labels[n - 1]) for n in targets}, paths
@@ -186,11 +192,9 @@ def _traced(
     return replace(result, render_noise=reached)
 
 
-def _seen(
-    transport: Transport, variance: NDArray[np.float32], sensor: SensorNoise
-) -> NDArray[np.float64]:
-    """Variance of the phase that measures each pixel, behind the lens, of light that has such a variance."""
-    return chosen(on_chip(replace(transport, noise_rad=np.sqrt(variance))), sensor) ** 2
+def _with_noise(transport: Transport, noise: Sequence[NDArray[np.float32]]) -> Transport:
+    phase, amplitude = noise
+    return replace(transport, noise_rad=phase, amplitude_noise=amplitude)
 
 
 def _excess(halves: Sequence[Floats], pilot: Pilot, targets: dict[int, float]) -> Floats:
@@ -210,10 +214,10 @@ def _excess(halves: Sequence[Floats], pilot: Pilot, targets: dict[int, float]) -
 
 
 def _more(
-    blocks: Blocks, label: NDArray[np.uint16], excess: Floats, most_paths: int
+    blocks: Blocks, asked_by: NDArray[np.uint16], excess: Floats, most_paths: int
 ) -> tuple[NDArray[np.intp], NDArray[np.uint32]]:
     """Entries that get more blocks, and how many: each half as the other half's noise asks for."""
-    other = excess[label.ravel()[blocks.pixel], 1 - np.arange(blocks.pixel.size) % 2]
+    other = excess[asked_by.ravel()[blocks.pixel], 1 - np.arange(blocks.pixel.size) % 2]
     wanted = blocks.number * np.where(other > 1.0, MORE * other - 1.0, 0.0)
     wanted = np.floor(wanted + GOLDEN * blocks.pixel % 1.0)
     room = most_paths // (2 * blocks.paths) - blocks.number.astype(np.int64)
@@ -231,46 +235,44 @@ def _pilot(
     assert sensor is not None
     shape = transport.label.shape
     fringes = finest_fringes(transport.scene.patterns, transport.bases)
-    modulation, indirect = [], []
+    phasor, indirect = [], []
     for p, b in enumerate(transport.bases):
         channels = slice(len(b.channels))
         fringe = fringes[sensor.fringe[p]]
         # Few paths know direct light well; half of all light serves where there is hardly any.
         own, all_light = (
-            np.hypot(*fringe.phasor(light[p, channels], p))
+            cosine + 1j * sine
             for light in (transport.direct, transport.total)
+            for cosine, sine in (fringe.phasor(light[p, channels], p),)
         )
-        modulation.append(np.maximum(own, all_light / 2.0))
+        phasor.append(np.where(np.abs(own) >= np.abs(all_light) / 2.0, own, all_light / 2.0))
         white = white_weights(b)
         indirect.append(
             np.tensordot(white, transport.total[p, channels] - transport.direct[p, channels], 1)
         )
 
-    def pick(images: Floats) -> Floats:
-        picked: Floats = np.take_along_axis(images, sensor.projector[None], axis=0)[0]
+    def pick(images: NDArray[Any]) -> NDArray[Any]:
+        picked: NDArray[Any] = np.take_along_axis(images, sensor.projector[None], axis=0)[0]
         return picked
 
-    direct, later = (chosen(part.reshape(*part.shape[:2], *shape), sensor) for part in varies)
-    counted = lit & np.isfinite(sensor.phase_rad) & np.isfinite(direct) & np.isfinite(later)
-    scored = counted & np.isfinite(strict.phase_rad)
-    sharp = varies.sum(axis=0, dtype=np.float32).reshape(*varies.shape[1:3], *shape)
-    seen, own = _seen(transport, sharp, sensor), chosen(sharp, sensor)
-    kept = [
-        float(seen[at].sum() / own[at].sum())
-        if (at := scored & (transport.label == n)).any()
-        else 1.0
-        for n in range(int(transport.label.max()) + 1)
-    ]
+    direct, later = (
+        np.stack([chosen(way.reshape(*way.shape[:2], *shape), sensor) for way in part])
+        for part in varies
+    )
+    counted = lit & np.isfinite(sensor.phase_rad) & np.isfinite(direct[0] + later[0])
+    kernel = spread_kernel(transport.scene.sensor)
+    sharp: NDArray[np.complex128] = pick(np.stack(phasor))
     pilot = Pilot(
         transport.label,
-        scored,
+        counted & np.isfinite(strict.phase_rad),
         counted,
-        pick(np.stack(modulation)),
+        sharp,
+        sharp if kernel is None else through(sharp, kernel),
+        kernel,
         pick(np.stack(indirect)).astype(np.float64),
         sensor.phase_rad,
         later * PILOT_PATHS,
         direct,
-        np.maximum(np.nan_to_num(np.array(kept), nan=1.0), 1.0),
     )
     return pilot, sensor
 

@@ -53,4 +53,8 @@ def test_places_in_a_pixel_lie_in_pairs_opposite_about_its_centre() -> None:
     place = np.array(sampling.pixel_point(sampling.stream(7, mi.UInt32(11)), index)).T
     assert ((place >= 0) & (place < 1)).all()
     np.testing.assert_allclose(place[0::2] + place[1::2], 1, atol=2e-7)
+    # The next pair is as near to the border as this one is to the centre.
+    np.testing.assert_allclose(
+        np.abs(place[0::4] - 0.5) + np.abs(place[2::4] - 0.5), 0.5, atol=2e-7
+    )
     assert len(np.unique(place[0::2], axis=0)) == 32

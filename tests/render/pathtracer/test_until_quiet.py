@@ -10,7 +10,7 @@ from scipy import stats
 import render
 import scenes
 from render.pathtracer import block_light
-from render.pathtracer.path_budget import PILOT_PLACES, Pilot, blocks_needed
+from render.pathtracer.path_budget import AIMED, PILOT_PLACES, Pilot, blocks_needed
 from scenes.support.errors import RenderError, SceneError
 from tests.render import rigs
 
@@ -117,17 +117,19 @@ def test_paths_meet_the_target_with_minimum_work_when_variances_are_known() -> N
         np.ones(shape, np.uint16),
         every,
         every,
-        modulation,
+        modulation.astype(np.complex128),
+        modulation.astype(np.complex128),
+        None,
         light,
         0.01 / modulation,
-        0.5 / modulation**2,
-        np.zeros(shape),
-        np.ones(2),
+        np.stack([0.5 / modulation**2] * 2),
+        np.zeros((2, *shape)),
     )
-    blocks = blocks_needed(pilot, {1: 1.0}, 1 << 20, indirect=True, lens=False)
+    blocks, asked_by = blocks_needed(pilot, {1: 1.0 / AIMED}, 1 << 20, indirect=True, lens=False)
+    assert (asked_by == 1).all()
     paths = (blocks.number * blocks.paths).reshape(shape)
     assert paths[0, 30] / paths[0, 10] == pytest.approx(10.0, rel=0.02)
-    variance = (pilot.path_variance / paths).sum() / (pilot.sensor_rad**2).sum()
+    variance = (pilot.path_variance[0] / paths).sum() / (pilot.sensor_rad**2).sum()
     # Just below what is left for indirect light (85 %): 800 equal estimates are known to 2 / sqrt(800) = 7 %, counted on top.
     assert 0.85 / 1.1 < variance < 0.85
     assert (blocks.places % 2 == 0).all()
@@ -142,7 +144,9 @@ def test_file_keeps_noise_and_what_was_reached(tmp_path: Path) -> None:
     assert again.render_noise == light.render_noise
     assert light.noise_rad is not None
     assert light.noise_rad.shape == (2, 1, 30, 40)
+    assert light.amplitude_noise is not None
     np.testing.assert_array_equal(again.noise_rad, light.noise_rad)
+    np.testing.assert_array_equal(again.amplitude_noise, light.amplitude_noise)
     truth = render.truth(scene, again)
     truth.write(tmp_path / "truth.exr")
     kept = scenes.Truth.read(tmp_path / "truth.exr").render_noise_mm

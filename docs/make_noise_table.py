@@ -1,0 +1,75 @@
+"""Noise of light paths on shipped scenes as they are, from two seeds: the table of docs/light.md.
+
+    python docs/make_noise_table.py [SCENE ...]
+
+Two seeds of light are exposed without the sensor's noise; what their heights differ by, over the root of two, is the noise of
+light. Two seeds of the sensor's noise on the first of them give that of the sensor. Both are root mean squares over the lit
+pixels of a label that all four reconstructions call valid. Pixels that another fringe order moves are counted apart.
+"""
+
+import sys
+import warnings
+
+import numpy as np
+
+import decode
+import render
+import scenes
+
+SEEDS = (1001, 2002)
+
+
+def main(names: list[str]) -> None:
+    """Print one row for each label of each scene."""
+    print("| scene | label | asked for | stated | two seeds | pixels | of another order |")
+    print("|---|---|--:|--:|--:|--:|--:|")
+    for name in names:
+        scene = scenes.load(name)
+        if scene.sampling.render_noise is not None:
+            _rows(name, scene, scene.sampling.render_noise)
+
+
+def _rows(name: str, scene: scenes.Scene, asked: float) -> None:
+    made = render.surfaces(scene)
+    lights = [render.trace(scene, seed=seed, surfaces=made) for seed in SEEDS]
+    stacks = [render.expose(light, noise=False) for light in lights]
+    stacks += [render.expose(lights[0], seed=seed) for seed in SEEDS]
+    results = [decode.reconstruct(stack) for stack in stacks]
+    truth = render.truth(scene, lights[0])
+    height = np.stack([result.height_mm for result in results]).astype(np.float64)
+    usable = truth.lit & np.all([result.valid for result in results], axis=0)
+    # A fringe more or less is a jump of height, far beyond noise.
+    jump = np.ptp(height, axis=0) > _half_fringe_mm(scene)
+    stated = lights[0].render_noise
+    assert stated is not None
+    for label in truth.labels:
+        at = usable & truth.region(label)
+        good = at & ~jump
+        if good.sum() < 100:
+            continue
+        light, sensor = (
+            float(np.sqrt(np.mean((height[i] - height[i + 1])[good] ** 2) / 2.0)) for i in (0, 2)
+        )
+        said = stated.reached.get(label)
+        print(
+            f"| `{name}` | {label} | {asked:g} | {'' if said is None else f'{said:.2f}'} | {light / sensor:.2f} "
+            f"| {int(good.sum())} | {int((at & jump).sum())} |",
+            flush=True,
+        )
+
+
+def _half_fringe_mm(scene: scenes.Scene) -> float:
+    """Height of half a finest fringe in the middle of the image."""
+    calibration = scene.calibration()
+    camera, light = calibration.camera.projection(), calibration.projectors[0].projection()
+    frame = min((f for f in scene.frames if f.kind == "fringe"), key=lambda f: f.period_px)
+    axis = 0 if frame.axis == "column" else 1
+    low, high = (
+        light.project(camera.points_at(height))[0][..., axis] for height in (-0.005, 0.005)
+    )
+    return float(0.01 / np.nanmedian(np.abs(high - low)) * frame.period_px / 2.0)
+
+
+if __name__ == "__main__":
+    warnings.simplefilter("ignore")
+    main(sys.argv[1:] or list(scenes.shipped()))
