@@ -86,7 +86,7 @@ def through_lens(transport: Transport) -> Transport:
     -------
     Transport
         The same light behind the lens of the scene's camera and sensor: vignetted and blurred. Its scene has neither any
-        more, so that `render.expose` takes the same pictures of it.
+        more, so that `render.expose` takes the same pictures of it. The noise of its paths is not stated.
 
     Examples
     --------
@@ -103,5 +103,7 @@ def through_lens(transport: Transport) -> Transport:
         total=total.light,
         direct=direct.light,
         ambient=total.ambient,
+        noise_rad=None,
+        amplitude_noise=None,
         scene=scene.model_copy(update={"sensor": without_blur(scene.sensor), "camera": camera}),
     )

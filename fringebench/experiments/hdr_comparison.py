@@ -259,6 +259,7 @@ class _Bench:
             direct=light.direct[shining],
             bases=light.bases[shining],
             noise_rad=None,
+            amplitude_noise=None,
             scene=scene.model_copy(update={"projectors": scene.projectors[shining]}),
         )
 

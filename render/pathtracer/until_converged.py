@@ -253,9 +253,13 @@ def _averaged(mean: Transport, new: Transport, share: float) -> Transport:
         for p in range(have.shape[0]):
             for c in range(have.shape[1]):
                 have[p, c] += np.float32(share) * (more[p, c] - have[p, c])
-    assert mean.noise_rad is not None  # there is a fringe to watch
-    assert new.noise_rad is not None
-    np.hypot((1.0 - share) * mean.noise_rad, share * new.noise_rad, out=mean.noise_rad)
+    for noise, other in (
+        (mean.noise_rad, new.noise_rad),
+        (mean.amplitude_noise, new.amplitude_noise),
+    ):
+        assert noise is not None  # there is a fringe to watch
+        assert other is not None
+        np.hypot((1.0 - share) * noise, share * other, out=noise)
     return mean
 
 
