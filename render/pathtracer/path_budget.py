@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from render.light_noise import weights
 from render.pathtracer.block_light import Blocks
-from render.phasor_noise import weights
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -16,7 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from render.fringe_phasor import FinestFringe, finest_fringes, white_weights
-from render.light_noise import SensorNoise, chosen, on_chip, render_to_sensor_noise, sensor_noise
+from render.light_noise import (
+    SensorNoise,
+    chosen,
+    on_chip,
+    render_to_sensor_noise,
+    sensor_noise,
+    through,
+)
 from render.pathtracer.block_light import (
     BlockLight,
     Blocks,
@@ -30,7 +37,6 @@ from render.pathtracer.path_budget import PILOT_PATHS, Pilot, blocks_needed, pil
 from render.pathtracer.path_kernel import Pass
 from render.pathtracer.pixel_centres import label_map, lit
 from render.pathtracer.tile_survey import Tiles
-from render.phasor_noise import through
 from render.plugins.shared_surfaces import Surfaces, shared
 from render.plugins.variant import use
 from render.point_spread import spread_kernel
