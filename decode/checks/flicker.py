@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from decode.phase.gamma import CLEAR
 from decode.phase.n_step import TURN, FringeSet, fringe_sets, solution, wrap
 from scenes.acquisition.fringe_fit import fringe_design
+from scenes.acquisition.patterns import Axis
 from scenes.files.stack import Stack
 from scenes.support.finding import Finding, graded
 
@@ -165,35 +166,35 @@ def _parts(samples: Floats, good: NDArray[np.bool_], fringes: FringeSet) -> list
     return found
 
 
-def flicker_findings(stack: Stack, projector: int = 0) -> Iterator[Finding]:
-    """Whether the frames of each fringe set are equally bright; sets that do not show it are left out.
+def flicker_findings(stack: Stack, projector: int = 0, axis: Axis = "column") -> Iterator[Finding]:
+    """Whether the frames of each fringe set of an axis are equally bright; sets that do not show it are left out.
 
     The finest fringes of an axis measure, and are judged by their noise; the others by the order that they give.
     """
-    for sets in fringe_sets(stack.patterns, projector).values():
-        for fringes, finer in zip(sets, (*sets[1:], None), strict=True):
-            found = [measured_flicker(stack, fringes, e) for e in range(len(stack.exposure_ms))]
-            measured = [f for f in found if f is not None]
-            if not measured:
-                continue
-            worst = max(measured, key=lambda f: (f.significant, f.error_rad / f.sigma_rad))
-            off = float(np.abs(worst.gains - 1.0).max())
-            turns = fringes.period_px / finer.period_px * worst.error_rad / TURN if finer else 0.0
-            verdict = (
-                graded(turns, *ORDER_TURNS)
-                if finer
-                else graded(worst.error_rad / worst.sigma_rad, *ERROR_SIGMAS)
+    sets = fringe_sets(stack.patterns, projector)[axis]
+    for fringes, finer in zip(sets, (*sets[1:], None), strict=True):
+        found = [measured_flicker(stack, fringes, e) for e in range(len(stack.exposure_ms))]
+        measured = [f for f in found if f is not None]
+        if not measured:
+            continue
+        worst = max(measured, key=lambda f: (f.significant, f.error_rad / f.sigma_rad))
+        off = float(np.abs(worst.gains - 1.0).max())
+        turns = fringes.period_px / finer.period_px * worst.error_rad / TURN if finer else 0.0
+        verdict = (
+            graded(turns, *ORDER_TURNS)
+            if finer
+            else graded(worst.error_rad / worst.sigma_rad, *ERROR_SIGMAS)
+        )
+        said = f"frames differ from their mean brightness by up to {off:.2%}"
+        if not worst.significant:
+            verdict = "ok"
+        if verdict != "ok":
+            said += (
+                f" (frame {int(np.abs(worst.gains - 1.0).argmax())} of {len(worst.gains)}), which bends the phase by up "
+                f"to {worst.error_rad:.3f} rad: the source flickers or drifts; import with --equalise, which divides it out"
             )
-            said = f"frames differ from their mean brightness by up to {off:.2%}"
-            if not worst.significant:
-                verdict = "ok"
-            if verdict != "ok":
-                said += (
-                    f" (frame {int(np.abs(worst.gains - 1.0).argmax())} of {len(worst.gains)}), which bends the phase by up "
-                    f"to {worst.error_rad:.3f} rad: the source flickers or drifts; import with --equalise, which divides it out"
-                )
-            name = f"{fringes.axis} fringes of {fringes.period_px:g} px, brightness"
-            yield Finding(name, verdict, said, off)
+        name = f"{fringes.axis} fringes of {fringes.period_px:g} px, brightness"
+        yield Finding(name, verdict, said, off)
 
 
 def equalise(stack: Stack, projector: int = 0) -> Stack:

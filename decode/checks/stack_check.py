@@ -15,6 +15,7 @@ from decode.checks.gray_check import flats, gray_code
 from decode.checks.neighbour_check import disorder, jumps
 from decode.checks.remedy import fitting_change
 from decode.checks.scale_check import scales
+from decode.codings.rewriting import as_fringes
 from decode.height.calibrated_view import view_of
 from decode.order.gray_cells import gray_sets
 from decode.phase.gamma import TOLERANCE, Harmonics, clearest, harmonics
@@ -98,10 +99,20 @@ def check(
         stack = replace(stack, projector_resolution=resolution)
     resolution = resolution or stack.projector_size(projector)
     found = [*_saturation(stack), *_exposures(stack)]
-    for sets in fringe_sets(stack.patterns, projector).values():
+    try:
+        plain = as_fringes(stack)
+    except DecodeError as error:
+        return CheckReport((*found, Finding("codings", "wrong", str(error))))
+    stack = plain.stack
+    rewritten = {axis for p, axis in plain.sigma_factor if p == projector}
+    for axis, sets in fringe_sets(stack.patterns, projector).items():
+        if axis in rewritten:
+            said = "every frame serves the one fit of all: see agreement"
+            found.append(Finding(f"{axis} fringes, order", "unknown", said))
+            continue
         for fringes in sets:
             found += _fringes(stack, fringes)
-    found += flicker_findings(stack, projector)
+        found += flicker_findings(stack, projector, axis)
     codes = gray_sets(stack.patterns, projector)
     for gray in codes.values():
         found += gray_code(stack, gray, resolution)

@@ -1,11 +1,12 @@
 """Any coding as ordinary fringes: phasors of the coding, written as four steps of each period, which the pipeline decodes.
 
-Micro and embedded phase shifting, modulated phase shifting and XOR codes become `PhaseShift` and Gray code frames, exposure by
-exposure, so that fusion, orders, validity and heights are those of every stack.
+Micro and embedded phase shifting, 2+1 phase shifting, modulated phase shifting, line shifting, XOR codes and Gray codes shown twice
+become `PhaseShift` and Gray code frames, exposure by exposure, so that fusion, orders, validity and heights are those of every stack.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +38,7 @@ def as_fringes(stack: Stack, reject_saturated: bool = True) -> PlainStack:
     `reject_saturated`: pixels with a saturated sample are marked as saturated. Raises `DecodeError` if a coding lacks
     frames, or the projector's size is unknown.
     """
-    stack = _without_xor(stack)
+    stack = _with_one_code(_without_xor(stack))
     groups = [key for key in _groups(stack.patterns) if _coded(stack.patterns, key)]
     if not groups:
         return PlainStack(stack, {})
@@ -68,16 +69,21 @@ def _groups(frames: Sequence[Frame]) -> list[tuple[int, Axis]]:
 
 
 def _member(frame: Frame, groups: Sequence[tuple[int, Axis]]) -> bool:
-    return frame.kind in ("fringe", "modulated") and (frame.projector, frame.axis) in groups
+    """Whether a frame takes part in the fringes of some axes: grey ones in those of both."""
+    if frame.kind == "grey":
+        return any(projector == frame.projector for projector, _ in groups)
+    return frame.kind in ("fringe", "modulated", "line") and (frame.projector, frame.axis) in groups
 
 
 def _coded(frames: Sequence[Frame], group: tuple[int, Axis]) -> bool:
-    """Whether an axis has modulated fringes, or three steps of some periods and fewer of others."""
+    """Whether an axis has modulated fringes or lines, or fewer than three steps of some periods and what completes them."""
     mine = [f for f in frames if _member(f, [group])]
-    if any(f.kind == "modulated" for f in mine):
+    if any(f.kind in ("modulated", "line") for f in mine):
         return True
+    grey = any(f.kind == "grey" for f in mine)
+    mine = [f for f in mine if f.kind == "fringe"]
     counts = [sum(f.period_px == p for f in mine) for p in {f.period_px for f in mine}]
-    return len(counts) > 1 and max(counts) >= 3 > min(counts)
+    return bool(counts) and min(counts) < 3 and (grey or max(counts) >= 3)
 
 
 def _rewritten(
@@ -103,12 +109,17 @@ def _rewritten(
 
 
 def _fitted(stack: Stack, shown: Sequence[Frame], dn: Floats, noise: Floats) -> Fitted:
-    if shown[0].kind == "modulated":
+    if any(f.kind == "modulated" for f in shown):
         return _demodulated(shown, dn, noise)
-    periods = [f.period_px for f in shown]
+    striped = [f for f in shown if f.kind != "grey"]
+    periods = [f.period_px for f in striped]
     if min(periods.count(p) for p in periods) > 1:
-        waves = [[(f.period_px, 1.0, f.phase_shift_rad)] for f in shown]
+        waves = [[(f.period_px, 1.0, f.phase_shift_rad)] if f.kind != "grey" else [] for f in shown]
         return fit(waves, min(periods), dn, noise)
+    if striped != list(shown):
+        raise DecodeError(
+            "fringes of one step and a grey frame are not decoded together: show two steps"
+        )
     size = stack.projector_size(shown[0].projector)
     if size is None:
         raise DecodeError(
@@ -162,6 +173,81 @@ def _without_xor(stack: Stack) -> Stack:
         one, two = stack.frames[:, i], stack.frames[:, other]
         frames[:, i], frames[:, other] = np.where(swap, two, one), np.where(swap, one, two)
     return replace(stack, frames=frames, patterns=tuple(patterns))
+
+
+def _with_one_code(stack: Stack) -> Stack:
+    """The stack with two Gray codes of an axis, displaced by half a cell, as one of half cells and one bit more.
+
+    Their numbers add up to its number, so that its last bit is the second code's parity; the others are those of the first.
+    """
+    for projector, axis in _groups([f for f in stack.patterns if f.kind == "gray"]):
+        mine = [
+            i
+            for i, f in enumerate(stack.patterns)
+            if f.kind == "gray" and (f.projector, f.axis) == (projector, axis)
+        ]
+        origins = {
+            shift: -shift * stack.patterns[i].period_px / (2.0 * np.pi)
+            for i in mine
+            for shift in [stack.patterns[i].phase_shift_rad]
+        }
+        if len(origins) != 2:
+            continue
+        first, second = sorted(origins, key=lambda shift: abs(origins[shift]))
+        base, other = (
+            [i for i in mine if stack.patterns[i].phase_shift_rad == s] for s in (first, second)
+        )
+        shown = stack.patterns[base[0]]
+        half = abs(origins[first] - origins[second]) / shown.period_px
+        if abs(half - 0.5) > 1e-6 or {
+            (f.steps, f.period_px, f.plain) for f in (stack.patterns[i] for i in mine)
+        } != {(shown.steps, shown.period_px, shown.plain)}:
+            raise DecodeError(
+                f"the two {axis} Gray codes are {half:g} cells of {shown.period_px:g} px apart: of two codes, one must be displaced "
+                "by half a cell (origin_px) and both have the same bits and cell_px"
+            )
+        if shown.plain:
+            raise DecodeError(
+                f"the {axis} code is shown twice in plain binary: show it in Gray code, or leave out one"
+            )
+        one, two = _parity(stack, other)
+        if origins[second] > origins[first]:
+            one, two = two, one
+        patterns = [
+            replace(f, steps=f.steps + 1, period_px=f.period_px / 2.0, phase_shift_rad=2.0 * first)
+            if i in base
+            else f
+            for i, f in enumerate(stack.patterns)
+        ]
+        kept = [i for i in range(len(patterns)) if i not in other]
+        last = replace(patterns[base[0]], step=shown.steps, inverted=False)
+        stack = replace(
+            stack,
+            frames=np.concatenate([stack.frames[:, kept], one[:, None], two[:, None]], axis=1),
+            patterns=(*(patterns[i] for i in kept), last, replace(last, inverted=True)),
+        )
+    return stack
+
+
+def _parity(stack: Stack, code: Sequence[int]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """A frame (exposure, row, col) that is bright where an odd number of bits is, as clear as the least clear one; and its inverse."""
+    place = {(stack.patterns[i].step, stack.patterns[i].inverted): i for i in code}
+    flat = {f.kind: i for i, f in enumerate(stack.patterns) if f.kind in ("white", "black")}
+    mine = stack.frames[:, list(flat.values()) if len(flat) == 2 else list(code)]
+    middle = 0.5 * (mine.min(axis=1).astype(np.float32) + mine.max(axis=1))
+    sign, least = np.full_like(middle, -1.0), np.full_like(middle, np.inf)
+    for step in range(stack.patterns[code[0]].steps):
+        one, two = (
+            stack.frames[:, place[step, flip]].astype(np.float32)
+            if (step, flip) in place
+            else middle
+            for flip in (False, True)
+        )
+        sign, least = -sign * np.sign(one - two), np.minimum(least, np.abs(one - two))
+    bright, dark = (middle + way * 0.5 * sign * least for way in (1.0, -1.0))
+    if np.issubdtype(stack.frames.dtype, np.integer):
+        bright, dark = np.rint(bright), np.rint(dark)
+    return bright.astype(stack.frames.dtype), dark.astype(stack.frames.dtype)
 
 
 def _plain(sensor: Sensor) -> Sensor:

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from scenes.support.errors import ImpossibleError
 
 Axis = Literal["column", "row"]
-FrameKind = Literal["fringe", "modulated", "gray", "xor", "white", "black", "dots"]
+FrameKind = Literal["fringe", "modulated", "line", "gray", "xor", "white", "grey", "black", "dots"]
+UNIFORM: dict[str, float] = {"white": 1.0, "grey": 0.5, "black": 0.0}
+"""Frames without stripes, and what they command."""
 Wave = tuple[float, float, float]
 """Period in px, amplitude, and phase at u = 0 in rad of one sinusoid."""
 # Beyond the reach of a phase in float32; real projectors are less than a thousandth as wide.
@@ -25,7 +27,8 @@ class Frame:
     bit `step`, 0 the most significant, of the `steps`-bit reflected Gray code (plain binary if `plain`) of
     ``floor(u / period_px + phase_shift_rad / (2 pi))``, dark and bright exchanged where `inverted`.
     An ``xor`` frame is that bit, dark and bright exchanged where the least significant bit is set. A ``modulated`` frame is a fringe
-    times a carrier ``0.5 + 0.5 cos(2 pi u / carrier_px + carrier_shift_rad)``. ``white`` and ``black`` are uniform and serve both axes.
+    times a carrier ``0.5 + 0.5 cos(2 pi u / carrier_px + carrier_shift_rad)``. A ``line`` frame has lines as wide as one of its
+    `steps` where a fringe is brightest. ``white``, ``grey`` (the fringes' mean) and ``black`` are uniform and serve both axes.
     ``dots`` are random squares of `period_px`, no function of `axis` alone. `camera` 1 is the second camera of a pair.
     """
 
@@ -44,7 +47,7 @@ class Frame:
 
     def __post_init__(self) -> None:
         """Raises `ImpossibleError` for numbers that no frame can have."""
-        uniform = self.kind in ("white", "black")
+        uniform = self.kind in UNIFORM
         if not (uniform or 0.0 < self.period_px <= WIDEST_PX):
             raise ImpossibleError(
                 f"a {self.kind} frame's period_px is {self.period_px}: use more than 0, at most {WIDEST_PX:g} px"
@@ -83,6 +86,9 @@ class Frame:
             mean, waves = self.waves(amplitude)
             terms = [a * np.cos(2.0 * np.pi * coordinate_px / p + d) for p, a, d in waves]
             return np.asarray(mean + np.sum(terms, axis=0))
+        if self.kind == "line":
+            turns = coordinate_px / self.period_px + self.phase_shift_rad / (2.0 * np.pi)
+            return (np.abs(turns - np.round(turns)) < 0.5 / self.steps).astype(np.float64)
         if self.kind in ("gray", "xor"):
             cell = coordinate_px / self.period_px + self.phase_shift_rad / (2.0 * np.pi)
             code = np.floor(cell).astype(np.int64)
@@ -95,7 +101,7 @@ class Frame:
             raise ImpossibleError(
                 "random dots are no function of one axis: read them as camera frames"
             )
-        return np.full(np.shape(coordinate_px), float(self.kind == "white"))
+        return np.full(np.shape(coordinate_px), UNIFORM[self.kind])
 
     def waves(self, amplitude: float = 1.0) -> tuple[float, list[Wave]]:
         """Mean and sinusoids that sum up to a ``fringe``, ``modulated`` or uniform frame.
@@ -123,7 +129,7 @@ class Frame:
                 (sum_px, own[1] / 4.0, carrier[1] + own[2]),
                 (difference_px, own[1] / 4.0, carrier[1] - own[2]),
             ]
-        return float(self.kind == "white"), []
+        return UNIFORM[self.kind], []
 
 
 def require_each_once(periods_px: Sequence[float], axes: Sequence[Axis]) -> None:

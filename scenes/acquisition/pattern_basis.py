@@ -18,7 +18,7 @@ from scenes.acquisition.projector_pixels import along
 from scenes.rig.projectors import Emission
 
 # Kinds of frames that have edges.
-CODES = ("gray", "xor")
+CODES = ("gray", "xor", "line")
 AXES: tuple[Axis, ...] = ("column", "row")
 # Directions this far below the strongest are below float32's resolution of a frame.
 RANK_TOLERANCE = 1e-7

@@ -25,8 +25,17 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, ValidationError, mo
 
 from scenes.acquisition.patterns import Frame
 from scenes.acquisition.sensor import Sensor, SimpleSensor
-from scenes.files import images
-from scenes.files.capture_frames import Fringes, Shown, SkippedImages, nearest_kind
+from scenes.files import images, phase_maps, single_shot
+from scenes.files.capture_frames import (
+    Fringes,
+    OrderMap,
+    PhaseMap,
+    Shown,
+    SingleShot,
+    SkippedImages,
+    incomplete,
+    nearest_kind,
+)
 from scenes.files.digital_range import DigitalRange
 from scenes.files.stack import Stack
 from scenes.rig import opencv_calibration
@@ -115,6 +124,17 @@ class Capture(Frozen):
                     )
         return self
 
+    @model_validator(mode="after")
+    def _fringes_give_a_phase(self) -> Self:
+        if why := incomplete(self.frames):
+            raise ValueError(why)
+        maps = [isinstance(shown, PhaseMap | OrderMap) for shown in self.frames]
+        if any(maps) and not all(maps):
+            raise ValueError(
+                "frames mixes phase maps with images: a manifest has the one or the other"
+            )
+        return self
+
     @classmethod
     def load(cls, path: str | Path) -> Self:
         """Read a manifest (TOML); paths in it are relative to its folder. `FileError` names the nearest valid key or
@@ -143,7 +163,12 @@ class Capture(Frozen):
     @property
     def patterns(self) -> tuple[Frame, ...]:
         """What each frame of the measurement shows."""
-        return tuple(frame for shown in self.frames for frame in shown.frames())
+        return tuple(
+            frame
+            for shown in self.frames
+            if not isinstance(shown, PhaseMap | OrderMap)
+            for frame in shown.frames()
+        )
 
     def planes(self) -> list[list[images.Plane]]:
         """File and channel by exposure and frame. Raises `FileError` if there are too many or too few files."""
@@ -154,6 +179,8 @@ class Capture(Frozen):
         for shown in self.frames:
             if isinstance(shown, SkippedImages):
                 kept += [False] * shown.count
+            elif isinstance(shown, SingleShot | PhaseMap | OrderMap):
+                kept += [True]
             else:
                 kept += [True] * len(shown.frames())
         times = len(self.exposures_ms)
@@ -189,29 +216,55 @@ class Capture(Frozen):
         FileError
             A file, its size or depth, or the calibration does not fit the manifest.
         """
+        if isinstance(self.frames[0], PhaseMap | OrderMap):
+            return self._of_maps()
         planes = self.planes()
         flat = images.read([plane for row in planes for plane in row])
         frames = flat.reshape(len(planes), len(planes[0]), *flat.shape[1:])
         sensor, findings = self._sensor(frames)
-        size = (frames.shape[3], frames.shape[2])
+        shots = [shown for shown in self.frames if isinstance(shown, SingleShot)]
+        if shots:
+            shown = [s for s in self.frames if not isinstance(s, SkippedImages)]
+            frames = single_shot.expanded(frames, shown, sensor.saturation_dn)
+        said = "the phase is its neighbourhood's: right where height and brightness change little over a fringe, bent at edges"
+        limits = [
+            Finding(f"{s.axis} fringes of {s.period_px:g} px, single shot", "unknown", said)
+            for s in shots
+        ]
+        return Imported(self._stack(frames, self.patterns, sensor), (*findings, *limits))
+
+    def _stack(self, frames: Any, patterns: tuple[Frame, ...], sensor: Sensor) -> Stack:
         rig = self.rig
         if self.calibration is not None:
+            size = (frames.shape[3], frames.shape[2])
             rig = self.calibration.calibration(size, self.projector_resolution)
-        stack = Stack(
+        return Stack(
             frames,
-            self.patterns,
+            patterns,
             self.exposures_ms,
             sensor,
             rig,
             projector_resolution=self.projector_resolution,
             gamma=self.gamma,
         )
-        return Imported(stack, tuple(findings))
+
+    def _of_maps(self) -> Imported:
+        """The stack whose phases are those of the maps."""
+        files = images.find(self.folder, self.files, phase_maps.SUFFIXES)
+        made = phase_maps.as_frames(files, self.frames, self.projector_resolution)
+        return Imported(self._stack(made.frames, made.patterns, made.sensor), ())
 
     def _sensor(self, frames: Any) -> tuple[Sensor, Sequence[Finding]]:
         """The noise model, given or found in the frames."""
         given = self.saturation_dn if self.sensor is None else self.sensor.saturation_dn
-        found = DigitalRange.of(frames, self.patterns, self.bits, given)
+        # A single shot is one image so far.
+        shown = tuple(
+            frame
+            for one in self.frames
+            if not isinstance(one, PhaseMap | OrderMap)
+            for frame in one.frames()[: 1 if isinstance(one, SingleShot) else None]
+        )
+        found = DigitalRange.of(frames, shown, self.bits, given)
         if self.sensor is not None:
             return self.sensor, found.findings
         sensor = SimpleSensor(

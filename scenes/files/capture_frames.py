@@ -1,12 +1,13 @@
 """What the images of a capture show, as a manifest describes it."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
-from scenes.acquisition.patterns import Axis, Bits, Frame, gray_frames
+from scenes.acquisition.patterns import Axis, Bits, Frame, ModulatedPhaseShift, gray_frames
 from scenes.support.frozen import Frozen
 
 
@@ -16,13 +17,13 @@ class Fringes(Frozen):
     kind: Literal["fringes"] = "fringes"
     axis: Axis
     period_px: Annotated[float, Field(gt=2.0)]
-    steps: Annotated[int, Field(ge=3, le=64)]
+    steps: Annotated[int, Field(ge=1, le=64)]
     first_phase_deg: float = 0.0
     """Shift of the first frame; a sine is a cosine of first phase -90."""
     direction: Literal[1, -1] = 1
     """Sign of the shift from frame to frame."""
     shifts_deg: tuple[float, ...] | None = None
-    """Shift of every frame, where they are not equal steps of 360 / steps."""
+    """Shift of every frame, where they are not equal steps of 360 / steps (of 90 for two steps)."""
     repeat: bool = False
     """The fringes of an earlier entry are shown again; all their frames are fitted together."""
     origin_px: float = 0.0
@@ -39,7 +40,8 @@ class Fringes(Frozen):
     def frames(self) -> list[Frame]:
         """The frames in the order shown."""
         degrees = self.shifts_deg or tuple(
-            self.first_phase_deg + self.direction * 360.0 * k / self.steps
+            self.first_phase_deg
+            + self.direction * 360.0 * k / (4 if self.steps == 2 else self.steps)
             for k in range(self.steps)
         )
         back = 2.0 * np.pi * self.origin_px / self.period_px
@@ -47,6 +49,111 @@ class Fringes(Frozen):
             Frame(self.axis, self.period_px, k, self.steps, float(np.deg2rad(shift)) - back)
             for k, shift in enumerate(degrees)
         ]
+
+
+class ModulatedFringes(Frozen):
+    """Coarse fringes times a fine carrier, every shift of the fringes with all shifts of the carrier (Chen et al. 2008)."""
+
+    kind: Literal["modulated"] = "modulated"
+    axis: Axis
+    period_px: Annotated[float, Field(gt=2.0)]
+    """Period of the coarse fringes, more than three carrier periods."""
+    steps: Annotated[int, Field(ge=3, le=64)]
+    carrier_px: Annotated[float, Field(gt=2.0)]
+    carrier_steps: Annotated[int, Field(ge=3, le=64)]
+    origin_px: float = 0.0
+    """Continuous projector coordinate where both cosines' phases are zero in the first frame."""
+
+    def frames(self) -> list[Frame]:
+        """The frames in the order shown."""
+        coding = ModulatedPhaseShift(
+            periods_px=(self.period_px,),
+            carrier_px=self.carrier_px,
+            steps=self.steps,
+            carrier_steps=self.carrier_steps,
+            axes=(self.axis,),
+        )
+        turn = 2.0 * np.pi * self.origin_px
+        return [
+            replace(
+                frame,
+                phase_shift_rad=frame.phase_shift_rad - turn / self.period_px,
+                carrier_shift_rad=frame.carrier_shift_rad - turn / self.carrier_px,
+            )
+            for frame in coding.frames()
+        ]
+
+
+class LineShift(Frozen):
+    """Lines that are shifted by their own width from frame to frame (Guehring 2001); their centre of light is a phase."""
+
+    kind: Literal["line-shift"] = "line-shift"
+    axis: Axis
+    period_px: Annotated[float, Field(gt=2.0)]
+    """Distance of the lines."""
+    steps: Annotated[int, Field(ge=4, le=64)]
+    """Frames until every pixel has been lit once."""
+    direction: Literal[1, -1] = 1
+    """1: the lines move to larger coordinates."""
+    origin_px: float = 0.0
+    """Continuous projector coordinate of the upper or left edge of a line in the first frame."""
+
+    def frames(self) -> list[Frame]:
+        """The frames in the order shown."""
+        first = -2.0 * np.pi * (self.origin_px / self.period_px + 0.5 / self.steps)
+        step = -2.0 * np.pi * self.direction / self.steps
+        return [
+            Frame(self.axis, self.period_px, k, self.steps, first + k * step, kind="line")
+            for k in range(self.steps)
+        ]
+
+
+class SingleShot(Frozen):
+    """One frame of fringes, whose phase is taken from its neighbourhood by Fourier filtering (Takeda, Ina & Kobayashi 1982).
+
+    It is good where height and brightness change little over a fringe; edges bend it, by up to a period.
+    """
+
+    kind: Literal["single-shot"] = "single-shot"
+    axis: Axis
+    period_px: Annotated[float, Field(gt=2.0)]
+    first_phase_deg: float = 0.0
+    """Shift of the frame; a sine is a cosine of first phase -90."""
+    direction: Literal[1, -1] = 1
+    """1: the projector's coordinate grows along the image's columns (or rows); -1: the image is mirrored."""
+    origin_px: float = 0.0
+    """As for fringes."""
+
+    def frames(self) -> list[Frame]:
+        """Four steps, which importing makes of the frame."""
+        four = Fringes(
+            axis=self.axis,
+            period_px=self.period_px,
+            steps=4,
+            first_phase_deg=self.first_phase_deg,
+            origin_px=self.origin_px,
+        )
+        return four.frames()
+
+
+class PhaseMap(Frozen):
+    """A phase that another program computed, in radians, as an array in a .npy or .mat file; NaN where there is none."""
+
+    kind: Literal["phase-map"] = "phase-map"
+    axis: Axis
+    period_px: Annotated[float, Field(gt=2.0)]
+    unwrapped: bool = False
+    """Whole turns are in the phase too, counted from `origin_px`."""
+    sigma_rad: Annotated[float, Field(gt=0.0, le=1.0)] = 0.02
+    """Standard deviation of the phase's noise."""
+    origin_px: float = 0.0
+    """Continuous projector coordinate of phase 0."""
+
+
+class OrderMap(Frozen):
+    """The fringe order of the phase map before it, whole numbers: what 2 pi are counted by, phase + 2 pi order."""
+
+    kind: Literal["order-map"] = "order-map"
 
 
 class GrayFrames(Frozen):
@@ -82,9 +189,9 @@ class GrayFrames(Frozen):
 
 
 class FlatFrame(Frozen):
-    """One white or black frame."""
+    """One white, black, or grey frame; grey is the fringes' mean, which completes two steps (2 + 1)."""
 
-    kind: Literal["white", "black"]
+    kind: Literal["white", "black", "grey"]
 
     def frames(self) -> list[Frame]:
         """The frame."""
@@ -102,7 +209,30 @@ class SkippedImages(Frozen):
         return []
 
 
-Shown = Annotated[Fringes | GrayFrames | FlatFrame | SkippedImages, Field(discriminator="kind")]
+Images = Fringes | ModulatedFringes | LineShift | SingleShot | GrayFrames | FlatFrame
+Shown = Annotated[Images | SkippedImages | PhaseMap | OrderMap, Field(discriminator="kind")]
+
+
+def incomplete(frames: Sequence[Shown]) -> str:
+    """Why the fringes of an axis give no phase; empty if they do."""
+    grey = any(shown.kind == "grey" for shown in frames)
+    for axis in ("column", "row"):
+        sets = [shown for shown in frames if isinstance(shown, Fringes) and shown.axis == axis]
+        total = {
+            s.period_px: sum(t.steps for t in sets if t.period_px == s.period_px) for s in sets
+        }
+        if not total or min(total.values()) >= 3:
+            continue
+        if 1 in total.values():
+            if grey or total[min(total)] < 3 or len(total) < 3:
+                return (
+                    f"{axis} fringes of one step need two such periods or more, a finest period of three steps or more, and "
+                    "projector_resolution (micro phase shifting); one frame alone is kind = 'single-shot'"
+                )
+        elif not grey and max(total.values()) < 3:
+            return f"{axis} fringes of two steps need their mean: add the frame {{kind = 'grey'}}, or a period of three steps or more"
+    return ""
+
 
 # Codes that other programs show and a manifest cannot say, with the nearest that it can.
 NEAREST_KINDS = {
@@ -110,28 +240,20 @@ NEAREST_KINDS = {
     "gray-code": 'Gray code is {kind = "gray", axis = "column", bits = 10}',
     "phase-shift": 'phase-shifted fringes are {kind = "fringes", axis = "column", period_px = 16.0, steps = 4}',
     "sinusoid": 'phase-shifted fringes are {kind = "fringes", axis = "column", period_px = 16.0, steps = 4}',
-    "shift-gray": (
-        "a Gray code shown again with a shift is read once: give one of the two as gray with its origin_px, and the other's "
-        'images as {kind = "skip", count = ...}; together with fringes, cells of half a period do the same'
-    ),
-    "line-shift": (
-        'lines have no phase: their Gray code alone is read; give it as gray, and the lines as {kind = "skip", count = ...}'
-    ),
-    "micro": (
-        "sets of one or two steps give no phase of their own, and a joint fit of several periods is not offered: show three "
-        "steps of each period (fringes of close periods beat to the projector's width)"
-    ),
-    "carrier": "a modulated carrier must be demodulated first; show plain fringes of the carrier's period",
-    "fourier": (
-        "a single frame gives no phase without neighbours; show three steps of that period, of which the first may be this one"
-    ),
+    "shift-gray": 'a Gray code shown again with a shift is a second {kind = "gray", ...} with its origin_px, half a cell off',
+    "line-shift": 'shifted lines are {kind = "line-shift", axis = "column", period_px = 8.0, steps = 8}',
+    "micro": 'sets of one or two steps are {kind = "fringes", ..., steps = 1}, one entry a period',
+    "carrier": 'fringes times a carrier are {kind = "modulated", period_px = 128.0, steps = 3, carrier_px = 16.0, carrier_steps = 3}',
+    "fourier": 'one frame of fringes is {kind = "single-shot", axis = "column", period_px = 16.0}',
+    "2+1": 'two fringes and their mean are {kind = "fringes", ..., steps = 2} and {kind = "grey"}',
+    "map": 'arrays of a phase are {kind = "phase-map", axis = "column", period_px = 16.0}, then perhaps {kind = "order-map"}',
     "speckle": "random patterns are matched between two cameras, not decoded; show fringes or Gray code",
 }
 ALIASES = {
     "plain-binary": "binary", "graycode": "gray-code", "fringe": "phase-shift", "sine": "sinusoid", "cosine": "sinusoid",
-    "shifted-gray": "shift-gray", "shifting-gray": "shift-gray", "lines": "line-shift", "line": "line-shift",
-    "micro-phase-shift": "micro", "micro-phase-shifting": "micro", "embedded": "micro", "modulated": "carrier",
-    "fourier-transform": "fourier", "single-shot": "fourier", "ftp": "fourier", "random": "speckle",
+    "shifted-gray": "shift-gray", "shifting-gray": "shift-gray", "lines": "line-shift", "line": "line-shift", "two-plus-one": "2+1", "mean": "2+1", "phase": "map", "order": "map",
+    "micro-phase-shift": "micro", "micro-phase-shifting": "micro", "embedded": "micro",
+    "fourier-transform": "fourier", "ftp": "fourier", "random": "speckle",
 }  # fmt: skip
 
 
@@ -143,9 +265,6 @@ def nearest_kind(tree: Any) -> str:
             continue
         kind = str(frame.get("kind", "")).casefold().replace("_", "-").replace(" ", "-")
         kind = ALIASES.get(kind, kind)
-        if kind in NEAREST_KINDS:
+        if kind in NEAREST_KINDS and kind != "line-shift":
             return f"frames.{i}.kind: there is no '{frame['kind']}': {NEAREST_KINDS[kind]}"
-        steps = frame.get("steps")
-        if kind == "fringes" and isinstance(steps, int) and 0 < steps < 3:
-            return f"frames.{i}.steps is {steps}: {NEAREST_KINDS['micro']}"
     return ""

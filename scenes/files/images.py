@@ -24,7 +24,7 @@ PLANES = {"blue": 0, "green": 1, "red": 2}
 LUMA = np.array([0.114, 0.587, 0.299], dtype=np.float32)
 
 
-def find(folder: Path, names: Sequence[str]) -> list[Path]:
+def find(folder: Path, names: Sequence[str], suffixes: Sequence[str] = SUFFIXES) -> list[Path]:
     """Files in the order shown: each name is a file, or a glob whose matches are sorted in natural order.
 
     Names are relative to `folder`; ``img2`` sorts before ``img10``. Raises `FileError` for a name that matches nothing, and
@@ -40,10 +40,10 @@ def find(folder: Path, names: Sequence[str]) -> list[Path]:
             raise FileError(
                 f"files has {name!r}: {error}; give a name or a pattern relative to the manifest"
             ) from error
-        matches = [path for path in matches if path.suffix.lower() in SUFFIXES]
+        matches = [path for path in matches if path.suffix.lower() in suffixes]
         if not matches:
             raise FileError(
-                f"'{exact}' is missing: no {', '.join(SUFFIXES)} file has that name or matches it as a pattern"
+                f"'{exact}' is missing: no {', '.join(suffixes)} file has that name or matches it as a pattern"
             )
         found += matches
     twice = {path.name for path in found if found.count(path) > 1}

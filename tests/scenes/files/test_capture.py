@@ -131,7 +131,7 @@ def test_skipped_images_are_left_out(tmp_path: Path) -> None:
         ({"frame": []}, "unknown key 'frame': did you mean 'frames'"),
         ({"frames": [{"kind": "fringes", "axis": "column", "steps": 4}]}, "period_px' is missing"),
         ({"frames": [{**MANIFEST["frames"][0], "shifts_deg": [0.0, 1.0]}]}, "2 values for 4 steps"),
-        ({"frames": [{**MANIFEST["frames"][0], "steps": 2}]}, "three steps of each period"),
+        ({"frames": [{**MANIFEST["frames"][0], "steps": 2}]}, "kind = 'grey'"),
         ({"calibration": {"files": ["none.yml"]}}, "none.yml' does not exist"),
     ],
 )
@@ -245,11 +245,11 @@ def test_codes_with_an_origin_decode_to_the_pixel_that_was_shown(
         ({"kind": "binary"}, 'code = "plain"'),
         ({"kind": "gray_code"}, 'kind = "gray"'),
         ({"kind": "shifted gray"}, "origin_px"),
-        ({"kind": "line-shift"}, "as gray"),
-        ({"kind": "single-shot"}, "three steps of that period"),
-        ({"kind": "carrier"}, "carrier's period"),
-        (FOUR | {"steps": 1}, "three steps of each period"),
-        (FOUR | {"steps": 2}, "three steps of each period"),
+        ({"kind": "lines"}, "line-shift"),
+        ({"kind": "ftp"}, "single-shot"),
+        ({"kind": "carrier"}, "modulated"),
+        ({"kind": "embedded"}, "steps = 1"),
+        ({"kind": "speckle"}, "two cameras"),
     ],
 )
 def test_codes_a_manifest_cannot_express_are_refused_with_the_nearest(
