@@ -14,16 +14,21 @@ from fringebench.pages.method_table import best_methods
 
 PAGE = Path(__file__).parent / "which-strategy.md"
 START, END = "<!-- table -->", "<!-- end of table -->"
-LADDER = "single,auto-exposure,max-modulation,masked-least-squares,censored-ml,inverted,complementary,2n-step,more-steps,adaptive-projection"
+LADDER = (
+    "single,auto-exposure,max-modulation,masked-least-squares,censored-ml,inverted,complementary,2n-step,more-steps,"
+    "unsaturated-steps,planned,clustered,intensity-ladder,adaptive-projection"
+)
 CODINGS = "n-step,heterodyne,gray-code,xor-gray-code,micro-phase-shift,modulated-phase-shift,embedded-phase-shift"
 SMALL = (
     "--render-noise 0.3 --repeats 3 --budget cycle-time --set acquisition.overhead_ms=1.0 "
     f"--set camera.resolution=[160,120] --strategies {LADDER}"
 )
+INDIRECT = f"--render-noise 0.3 --repeats 4 --budget equal-time --set sensor.psf=none --strategies {CODINGS}"
 RUNS = {
     "bench": f"bench {SMALL}",
     "ink-solder": f"ink-solder {SMALL}",
-    "interreflection": f"interreflection --render-noise 0.3 --repeats 4 --budget equal-time --set sensor.psf=none --strategies {CODINGS}",
+    "interreflection": f"interreflection {INDIRECT}",
+    "translucent": f"translucent {INDIRECT}",
 }
 # Surface, run, region, strategy it is compared with.
 ROWS = (

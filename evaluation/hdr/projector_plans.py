@@ -71,9 +71,11 @@ def _mask(seen: Stack, projector: int, exposure_ms: float) -> NDArray[np.float64
         seen, projector=projector, fusion="single", exposure=0, saturation="ignore"
     )
     middle = decode.reconstruct(seen, projector=projector, fusion="single", exposure=1)
+    mine = [frame.projector == projector for frame in seen.patterns]
+    # Of all patterns: the coarse ones, less blurred, are brighter.
     peaks = [
-        (rec.offset_dn - black + rec.modulation_dn) * (exposure_ms / time_ms)
-        for rec, time_ms in zip((short, middle), seen.exposure_ms, strict=True)
+        (frames[mine].max(axis=0) - black) * (exposure_ms / time_ms)
+        for frames, time_ms in zip(seen.frames, seen.exposure_ms, strict=True)
     ]
     points = np.where(middle.valid[..., None], middle.xyz_mm, short.xyz_mm)
     peak = np.where(middle.valid, peaks[1], peaks[0])

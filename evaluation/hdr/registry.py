@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import decode
 from evaluation.hdr.capture_strategies import BUILT_IN, Strategy, ladder
 from evaluation.hdr.coding_strategies import CODINGS
+from evaluation.hdr.exposure_plans import PLANNED
 from evaluation.hdr.projector_plans import PROJECTOR
 from scenes.support.errors import ScoreError, nearest
 
@@ -33,7 +34,8 @@ def strategies(names: Sequence[str] | None = None) -> tuple[Strategy, ...]:
     >>> [strategy.fusion for strategy in strategies(["single", "inverted"])]
     ['phasor-sum', 'masked-least-squares']
     """
-    known = {strategy.name: strategy for strategy in (*BUILT_IN, *PROJECTOR, *CODINGS)}
+    built_in = (*BUILT_IN, *PLANNED, *PROJECTOR, *CODINGS)
+    known = {strategy.name: strategy for strategy in built_in}
     used = {strategy.fusion for strategy in BUILT_IN}
     for rule in sorted(set(decode.rules()) - used):
         known.setdefault(rule, Strategy(rule, ladder, rule, "another distribution's rule"))
