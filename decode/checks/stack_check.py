@@ -213,6 +213,10 @@ def _misfit(seen: Harmonics) -> float:
 
 def _agreement(stack: Stack, projector: int) -> Iterator[Finding]:
     """Decode each axis, and see whether its periods and its code agree; then compare the axes with each other."""
+    if stack.calibration is not None and stack.calibration.screens:
+        said = "the rig has a screen: only what mirrors it shows an order"
+        yield Finding("agreement", "unknown", said)
+        return
     decoded: dict[Axis, Reconstruction] = {}
     for axis in dict.fromkeys(f.axis for f in stack.patterns if f.kind in ("fringe", "gray")):
         sources = {f.period_px for f in stack.patterns if f.kind == "fringe" and f.axis == axis}

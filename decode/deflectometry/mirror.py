@@ -40,7 +40,7 @@ VOLUME_MARGIN = 0.05
 # tenfold where the screen is farther away than the surface is wide.
 CONVERGED_MM, ROUNDS = 1e-7, 30
 # Pixels from a border that a lens's blur reaches.
-BORDER_PX = 3
+BORDER_PX = 5
 # Samples of noise for the standard deviation of integrated heights: it is then known to 9 %.
 SAMPLES = 64
 
@@ -132,7 +132,12 @@ def decode_mirror(stack: Stack, options: Options) -> Reconstruction:
 def _way(stack: Stack, options: Options) -> str:
     """How heights are found; `DecodeError` for choices that make no sense with a screen."""
     assert stack.calibration is not None
-    positions = len(stack.calibration.screens) if options.projector is None else 1
+    known = len(stack.calibration.screens)
+    if options.projector is not None and not 0 <= options.projector < known:
+        raise DecodeError(
+            f"projector is {options.projector}, and the screen has {known} position(s), counted from 0"
+        )
+    positions = known if options.projector is None else 1
     for name in ("axis", "c_px_per_mm", "reference"):
         if getattr(options, name) is not None:
             raise DecodeError(
@@ -168,10 +173,6 @@ def _seen(stack: Stack, options: Options) -> Seen:
     assert stack.calibration is not None
     screens = stack.calibration.screens
     shown = range(len(screens)) if options.projector is None else [options.projector]
-    if not all(p < len(screens) for p in shown):
-        raise DecodeError(
-            f"projector is {options.projector}: the screen has positions 0 to {len(screens) - 1}"
-        )
     black = stack.sensor.black_level_dn
     found = []
     for p in shown:

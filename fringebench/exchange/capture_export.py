@@ -52,6 +52,8 @@ def export(stack: Stack, folder: str | Path, projector: int | None = None) -> Pa
         raise FileError(
             f"frames are {stack.frames.dtype}, which PNG files cannot hold: use a sensor with bits from 1 to 16"
         )
+    if stack.calibration is not None:
+        stack.calibration.require_projectors("an exported capture")
     chosen = _chosen(stack, projector)
     index = projector or 0
     with locked(prepare(out)):

@@ -134,6 +134,7 @@ def accept(scene: Scene, seed: int = 0, steps: Steps | None = None) -> Acceptanc
     >>> len(result.positions), result.worst()["flatness"] < 0.1
     (13, True)
     """
+    scene.calibration().require_projectors("an acceptance test")
     steps = steps or Steps()
     field = common_field(scene.calibration())
     low, high = scene.height_range_mm

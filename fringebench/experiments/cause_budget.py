@@ -63,6 +63,7 @@ def budget(
     """
     if repeats < 1:
         raise FringebenchError(f"repeats = {repeats}: needs 1 or more")
+    scene.calibration().require_projectors("an error budget")
     # An invalid option is reported before light is traced, not after.
     decode.Options.of(choices).rule()
     steps = steps or Steps()

@@ -61,6 +61,7 @@ def compare(
     """
     if repeats < 1:
         raise ScoreError(f"repeats = {repeats}: needs at least 1, and 2 or more for intervals")
+    scene.calibration().require_projectors("a comparison of strategies")
     chosen = (*strategies(names), *decoders)
     if not isinstance(scene.patterns, scenes.PhaseShift):
         raise ScoreError(

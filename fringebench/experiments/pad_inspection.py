@@ -212,6 +212,7 @@ def gauge(
 def _require_board(scene: scenes.Scene) -> Board:
     if scene.board is None:
         raise SceneError(f"scene '{scene.name}' has no board: only boards have pads to measure")
+    scene.calibration().require_projectors("a measurement of pads")
     return scene.board
 
 

@@ -24,6 +24,7 @@ def twin(
     """
     if distance_mm <= 0.0:
         raise FileError(f"working distance {distance_mm:g} mm: give --distance-mm, more than 0")
+    rig.require_projectors("a twin")
     field = common_field(rig)
     width, height = field.size_mm
     x, y = (float(v) for v in field.middle_mm)

@@ -113,6 +113,7 @@ def calibrate(
     Devices, sensor and noise are those of the scene; its objects are left out. Raises `RenderError` for a telecentric device,
     and for poses that do not suffice.
     """
+    scene.calibration().require_projectors("a calibration")
     if not all(isinstance(device, Pinhole) for device in _devices(scene.calibration())):
         raise RenderError(
             "OpenCV calibrates pinholes only, and this rig has a telecentric device: choose a scene with pinholes, such as "

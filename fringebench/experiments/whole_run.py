@@ -59,6 +59,11 @@ def run(
     Each file is written under a temporary name and renamed: an interrupted run leaves no half-written file. An earlier run
     in `folder` is replaced once this one has succeeded. Raises `FringebenchError` for an invalid scene or folder.
     """
+    if len(scene.screens) == 1:
+        raise scenes.DecodeError(
+            "one position of the screen leaves the height open: add a second one, or use render, expose, decode --known-point "
+            "and evaluate"
+        )
     # A misspelt rule is reported before light is traced, not after.
     decode.Options(fusion=fusion).rule()
     out = prepare(folder)

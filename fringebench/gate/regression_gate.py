@@ -169,6 +169,8 @@ def regress(
     if update and target is None:
         raise FileError("--update needs --baseline FILE to write to: the shipped one stays")
     loaded = [source if isinstance(source, Scene) else load(source) for source in scenes]
+    for scene in loaded:
+        scene.calibration().require_projectors("the gate")
     old = None
     if target is not None and (target.exists() or not update):
         old = Baseline.load(target)

@@ -6,6 +6,7 @@ from pydantic import Field, model_validator
 
 from scenes.rig.devices import Pinhole
 from scenes.rig.projectors import Camera, Projector, Screen, require_one_kind
+from scenes.support.errors import SceneError
 from scenes.support.frozen import Frozen
 
 
@@ -35,3 +36,15 @@ class Calibration(Frozen):
     def screens(self) -> tuple[Screen, ...]:
         """The screen's positions; empty for projectors."""
         return tuple(p for p in self.projectors if isinstance(p, Screen))
+
+    def require_projectors(self, what: str) -> None:
+        """Raise `SceneError` for a rig with a screen; `what` needs projectors is for the message.
+
+        >>> import scenes
+        >>> scenes.load("step").calibration().require_projectors("a gate")
+        """
+        if self.screens:
+            raise SceneError(
+                f"{what} needs a projector, and the rig has a screen, which surfaces mirror: use a rig with projectors, or "
+                "render, expose, decode and evaluate"
+            )
