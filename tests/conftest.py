@@ -26,6 +26,8 @@ def small_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
 )
+# A page that takes longer hangs. It is no limit of speed: a loaded machine draws 3-D views in software.
+PATIENCE_MS = 300_000
 # No sandbox (CI runs as root), software WebGL, and none of the browser's own traffic.
 FLAGS = [
     "--no-sandbox",
@@ -63,18 +65,32 @@ def browser() -> Iterator[Any]:
     if CHROMIUM is None:
         pytest.skip("no Chromium on this machine (Debian: apt-get install chromium)")
     with playwright.sync_playwright() as driver:
-        chromium = driver.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        chromium = driver.chromium.launch(executable_path=CHROMIUM, args=FLAGS, timeout=PATIENCE_MS)
         yield chromium
         chromium.close()
 
 
 @pytest.fixture
 def tab(browser: Any) -> Iterator[Any]:
-    """An empty page; errors in it and requests to the network are collected in `said`."""
+    """An empty page; errors in it and requests to the network are collected in `said`.
+
+    `page.until(holds)` waits until something holds, however slow the machine is.
+    """
     page = browser.new_page(viewport={"width": 1280, "height": 900})
+    page.set_default_timeout(PATIENCE_MS)
     page.said = []
     page.on("console", lambda m: page.said.append(m.text) if m.type == "error" else None)
     page.on("pageerror", lambda e: page.said.append(str(e)))
     page.on("request", lambda r: page.said.append(r.url) if r.url.startswith("http") else None)
+    page.until = lambda holds: wait_until(page, holds)
     yield page
     page.close()
+
+
+def wait_until(page: Any, holds: Callable[[], bool]) -> None:
+    """Ask again and again, while the page goes on."""
+    for _ in range(PATIENCE_MS // 200):
+        if holds():
+            return
+        page.wait_for_timeout(200)
+    raise AssertionError(f"nothing came of it in {PATIENCE_MS / 1000:.0f} s")

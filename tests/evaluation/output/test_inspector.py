@@ -63,15 +63,13 @@ def test_large_stack_is_thinned_but_keeps_listed_pixels() -> None:
 
 
 @pytest.mark.slow
-def test_pixel_is_chosen_by_mouse_and_by_keyboard(browser: Any, tmp_path: Path) -> None:
+def test_pixel_is_chosen_by_mouse_and_by_keyboard(tab: Any, tmp_path: Path) -> None:
     stack = stack_of()
     rec = decode.reconstruct(stack, height="phase")
     page = tmp_path / "page.html"
     Report("Pixels", "", [Section("Pixels", [inspector_of(stack, rec)])]).write(page)
-    tab = browser.new_page(viewport={"width": 1000, "height": 900}, color_scheme="dark")
-    said: list[str] = []
-    tab.on("console", lambda m: said.append(m.text))
-    tab.on("pageerror", lambda e: said.append(str(e)))
+    tab.set_viewport_size({"width": 1000, "height": 900})
+    tab.emulate_media(color_scheme="dark")
     tab.goto(page.as_uri())
     tab.wait_for_function(
         "() => document.querySelector('.pixel table').innerText.includes('(8, 6)')"
@@ -102,5 +100,4 @@ def test_pixel_is_chosen_by_mouse_and_by_keyboard(browser: Any, tmp_path: Path) 
         return Math.max(...dots.x.map((x, i) => Math.abs(line.y[line.x.indexOf(x)] - dots.y[i]))); }"""
     )
     assert worst < 1.0
-    assert said == []
-    tab.close()
+    assert tab.said == []
