@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from decode import Reconstruction, reconstruct
     from evaluation import Score, score
     from fringebench.datasets.reader import Dataset
-    from fringebench.verbs import accept, budget, compare, dataset, regress, run
+    from fringebench.verbs import accept, budget, compare, dataset, methods, regress, run
     from render import Transport, expose, mitsuba_scene, trace, truth
     from scenes import Scene, Stack, Truth, load, meshes
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Dataset", "Reconstruction", "Scene", "Score", "Stack", "Transport", "Truth", "__version__",
     "accept", "budget", "compare", "dataset", "decode", "evaluation", "expose", "load", "meshes",
-    "mitsuba_scene", "reconstruct", "regress", "render", "run", "scenes", "score", "trace", "truth",
+    "methods", "mitsuba_scene", "reconstruct", "regress", "render", "run", "scenes", "score", "trace", "truth",
 ]  # fmt: skip
 
 _ROOMS = ("scenes", "render", "decode", "evaluation")
@@ -34,7 +34,7 @@ _HOMES = {
     "render": ("trace", "expose", "truth", "mitsuba_scene", "Transport"),
     "decode": ("reconstruct", "Reconstruction"),
     "evaluation": ("score", "Score"),
-    "fringebench.verbs": ("run", "compare", "regress", "budget", "dataset", "accept"),
+    "fringebench.verbs": ("run", "compare", "regress", "budget", "dataset", "accept", "methods"),
     "fringebench.datasets.reader": ("Dataset",),
 }
 

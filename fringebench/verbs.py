@@ -15,7 +15,7 @@ from evaluation.output.report import Report
 from evaluation.scoring.error_budget import ErrorBudget
 from fringebench.datasets.building import Built, build
 from fringebench.datasets.dataset_plan import DatasetPlan
-from fringebench.experiments import cause_budget, hdr_comparison, whole_run
+from fringebench.experiments import cause_budget, hdr_comparison, method_map, whole_run
 from fringebench.experiments.acceptance import accept
 from fringebench.experiments.hdr_comparison import outside_strategy
 from fringebench.gate.decoders import resolve
@@ -24,7 +24,7 @@ from fringebench.output_folder import prepare, write_json
 from fringebench.progress import Steps
 from scenes import Scene
 
-__all__ = ["accept", "budget", "compare", "dataset", "regress", "run"]
+__all__ = ["accept", "budget", "compare", "dataset", "methods", "regress", "run"]
 
 
 def run(
@@ -216,6 +216,64 @@ def budget(
         write_json(found.to_dict(), out / "budget.json")
         toml = scenes.dumps(loaded)
         _report(budget_report(found, toml, seed, steps.seconds, loaded.description), out)
+    return found
+
+
+def methods(
+    methods: Sequence[str] | None = None,
+    surfaces: Sequence[str] | None = None,
+    folder: str | Path | None = None,
+    resolution: tuple[int, int] = (200, 150),
+    samples: int = 32,
+    seed: int = 0,
+    steps: Steps | None = None,
+) -> method_map.MethodMap:
+    """Measure surfaces by several methods with one camera: how much of each is measured, how well, and why not.
+
+    Parameters
+    ----------
+    methods
+        Some of ``fringe-projection phase-stereo active-stereo passive-stereo deflectometry``; None: all.
+    surfaces
+        Some of ``matt glossy black translucent solder grains mirror step``; None: all.
+    folder
+        If given, ``methods.json``, ``methods.png`` and ``report.html`` are written there.
+    resolution
+        Columns and rows of the cameras, px.
+    samples
+        As `scenes.Sampling.samples`.
+    seed
+        Seed of light paths and sensor noise, 0 or more.
+    steps
+        Shows progress; none by default.
+
+    Returns
+    -------
+    MethodMap
+        For each pair the coverage (0 to 1), the error in mm, and what most pixels fail by.
+
+    Raises
+    ------
+    ScoreError
+        For an unknown method or surface.
+
+    Examples
+    --------
+    >>> import fringebench as fb
+    >>> found = fb.methods(["fringe-projection"], ["step"], resolution=(80, 60), samples=4)
+    >>> found.cells[0].coverage > 0.5
+    True
+    """
+    out = None if folder is None else prepare(folder)
+    steps = steps or Steps()
+    found = method_map.method_map(methods, surfaces, resolution, samples, seed, steps)
+    if out is not None:
+        from evaluation.output.plots import save
+        from fringebench.pages.method_map_page import map_figure, map_report
+
+        write_json(found.to_dict(), out / "methods.json")
+        save(map_figure(found), out / "methods.png")
+        _report(map_report(found, steps.seconds), out)
     return found
 
 

@@ -99,9 +99,10 @@ def compare(
 
 
 @app.command(
-    epilog="Example: fringebench methods bench ink-solder --set camera.resolution=[160,120]"
+    "strategies",
+    epilog="Example: fringebench strategies bench ink-solder --set camera.resolution=[160,120]",
 )
-def methods(
+def strategies_by_surface(
     scene: Annotated[
         list[str],
         typer.Argument(help="Shipped scenes' names, or TOML files.", autocompletion=scene_names),

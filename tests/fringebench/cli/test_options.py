@@ -13,11 +13,11 @@ from fringebench.cli.app import app
 from fringebench.cli.shared_options import fusion_rules, scene_names
 
 LONG = {
-    "run", "render", "expose", "decode", "chapter", "compare", "methods", "regress", "budget", "dataset", "import", "calibrate",
+    "run", "render", "expose", "decode", "chapter", "compare", "strategies", "methods", "regress", "budget", "dataset", "import", "calibrate",
     "accept", "stereo", "pads",
 }  # fmt: skip
 CHANCE = {
-    "run", "render", "expose", "chapter", "compare", "methods", "regress", "budget", "dataset", "calibrate", "accept", "pads",
+    "run", "render", "expose", "chapter", "compare", "strategies", "methods", "regress", "budget", "dataset", "calibrate", "accept", "pads",
 }  # fmt: skip
 
 

@@ -30,7 +30,7 @@ def test_method_that_measures_less_does_not_win_and_ties_are_named() -> None:
 def test_methods_of_two_scenes_are_answered_in_json(call: Callable[..., Any]) -> None:
     small = ("--set", "camera.resolution=[48,36]", "--set", "sampling.samples=2", "--repeats", 2)
     words = ("ink", "step", "--strategies", "single,max-modulation", *small, "--json")
-    status, out, err = call("methods", *words)
+    status, out, err = call("strategies", *words)
     assert status == 0, err
     answer = json.loads(out)
     assert {(s["scene"], s["region"]) for s in answer["surfaces"]} >= {
@@ -38,4 +38,4 @@ def test_methods_of_two_scenes_are_answered_in_json(call: Callable[..., Any]) ->
         ("step", "step"),
     }
     assert all(set(s["best"]) <= {"single", "max-modulation"} for s in answer["surfaces"])
-    assert call("methods", "step", "--budget", "nothing")[0] == 2
+    assert call("strategies", "step", "--budget", "nothing")[0] == 2

@@ -1,0 +1,55 @@
+"""The command that compares ways of measuring: methods."""
+
+from typing import Annotated
+
+import typer
+
+from fringebench.cli.commands.stages import Folder
+from fringebench.cli.shared_options import AsJson, Seed, ShowProgress
+from fringebench.cli.terminal import answer_console, print_json, progress_steps, say
+from fringebench.progress import Mode
+
+app = typer.Typer()
+
+
+@app.command(
+    epilog="Example: fringebench methods --method active-stereo --surface matt --surface mirror -o out"
+)
+def methods(
+    method: Annotated[
+        list[str],
+        typer.Option(
+            help="fringe-projection, phase-stereo, active-stereo, passive-stereo or deflectometry; may be repeated. Default: all."
+        ),
+    ] = [],  # noqa: B006
+    surface: Annotated[
+        list[str],
+        typer.Option(
+            help="matt, glossy, black, translucent, solder, grains, mirror or step; may be repeated. Default: all."
+        ),
+    ] = [],  # noqa: B006
+    output: Folder = None,
+    resolution: Annotated[
+        tuple[int, int], typer.Option(metavar="COLUMNS ROWS", help="Pixels of the cameras.")
+    ] = (200, 150),
+    samples: Annotated[int, typer.Option(help="As sampling.samples of a scene.", min=1)] = 32,
+    seed: Seed = 0,
+    progress: ShowProgress = Mode.AUTO,
+    as_json: AsJson = False,
+) -> None:
+    """Measure every surface by every method: fringe projection, stereo by phase, dots or texture, deflectometry.
+
+    With -o: methods.json, methods.png and report.html. All pairs take some minutes.
+    """
+    from fringebench import verbs
+
+    steps = progress_steps(progress)
+    found = verbs.methods(method or None, surface or None, output, resolution, samples, seed, steps)
+    if as_json:
+        print_json(found.to_dict())
+        return
+    from fringebench.pages.method_map_page import map_table
+
+    answer_console().print(map_table(found))
+    if output:
+        say(f"page in {output / 'report.html'}")

@@ -1,0 +1,79 @@
+"""The map of methods: cells that theory foresees, words, files."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import fringebench as fb
+from fringebench.experiments.method_map import METHODS, SURFACES, Cell, MethodMap
+from fringebench.pages.method_map_page import map_rows
+from scenes.support.errors import ScoreError
+
+Call = Callable[..., tuple[int, str, str]]
+
+
+def cells(found: MethodMap) -> dict[tuple[str, str], Cell]:
+    return {(cell.method, cell.surface): cell for cell in found.cells}
+
+
+@pytest.mark.slow
+def test_two_cells_have_page_table_and_reason(
+    tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = ("--method", "deflectometry", "--surface", "matt", "--surface", "mirror", "-o", "out")
+    size = ("--resolution", 80, 60, "--samples", 4)
+    status, out, err = call("methods", *words, *size, "--json")
+    assert status == 0, err
+    matt, mirror = json.loads(out)["cells"]
+    assert (matt["coverage"], matt["why"], matt["rms_mm"]) == (0.0, "no-image", None)
+    assert mirror["coverage"] > 0.0
+    assert json.loads(Path("out/methods.json").read_text())["cells"] == [matt, mirror]
+    assert "no-image" in Path("out/report.html").read_text()
+    assert Path("out/methods.png").stat().st_size > 0
+
+
+def test_unknown_names_are_refused_with_the_nearest() -> None:
+    with pytest.raises(ScoreError, match=r"unknown surface 'miror'.*mirror"):
+        fb.methods(surfaces=["miror"])
+    with pytest.raises(ScoreError, match="unknown method 'stereo'"):
+        fb.methods(["stereo"])
+
+
+def test_a_row_says_coverage_error_and_cause() -> None:
+    found = MethodMap(
+        (
+            Cell("a", "matt", 100, 0.5, 0.1, 0.02, 0.01, "shadow", 0.5),
+            Cell("b", "matt", 100, 0.0, 0.0, 1.0, 1.0, "no-image", 1.0),
+        ),
+        (80, 60),
+    )
+    row = ["matt", "50 %\n20 µm\nshadow 50 %", "0 %\nno-image 100 %"]
+    assert map_rows(found) == (["a", "b"], [row])
+
+
+@pytest.mark.trust
+def test_every_method_fails_where_theory_says_and_nowhere_else() -> None:
+    found = cells(fb.methods())
+    assert set(found) == {(method, surface) for method in METHODS for surface in SURFACES}
+    right = {pair: cell.coverage - cell.wrong for pair, cell in found.items()}
+    opaque = ("matt", "glossy", "solder", "grains", "step")
+    for method in ("fringe-projection", "phase-stereo", "active-stereo"):
+        # Edges and shadows of the step take some per cent.
+        assert all(right[method, surface] > 0.85 for surface in opaque), method
+        # Light enters a clear body, and a mirror sends it elsewhere.
+        assert right[method, "translucent"] < 0.3
+        assert right[method, "mirror"] < 0.1
+    for surface in ("matt", "glossy", "black", "solder", "step"):
+        assert right["passive-stereo", surface] < 0.3
+        assert found["passive-stereo", surface].why == "no-texture"
+    for surface in SURFACES:
+        cell = found["deflectometry", surface]
+        assert (right["deflectometry", surface] > 0.9) == (surface == "mirror")
+        assert cell.why == ("" if surface == "mirror" else "no-image")
+    # Phase needs no block: heights are several times better than those of dots.
+    for surface in opaque:
+        rms = [found[m, surface].rms_mm or 0.0 for m in ("phase-stereo", "active-stereo")]
+        assert rms[0] < 0.6 * rms[1]
