@@ -13,6 +13,8 @@ from fringebench.progress import Mode, Steps
 
 # Below this width rich would cut figures short; a narrower terminal wraps the lines instead, which loses none.
 TABLE_COLUMNS = 80
+# What rich puts in place of the rest of a cell.
+CUT = "…"
 
 
 def print_json(value: Any) -> None:
@@ -36,12 +38,15 @@ def answer_console() -> Console:
 
 
 def print_figures(tables: Iterable[Table]) -> None:
-    """Print tables of figures: a line that does not fit is wrapped by the terminal, for a figure cut short is wrong."""
+    """Print tables; one of which rich would cut a cell is printed at its full width: a figure cut short is wrong."""
     for table in tables:
         console = answer_console()
-        needed = console.measure(table, options=console.options.update(width=10_000)).maximum
-        if needed > console.width:
-            console = Console(highlight=False, color_system=_colours(), width=needed)
+        with console.capture() as fitted:
+            console.print(table)
+        if CUT in fitted.get():
+            console.width = console.measure(
+                table, options=console.options.update(width=10_000)
+            ).maximum
         console.print(table)
 
 

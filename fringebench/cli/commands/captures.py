@@ -11,7 +11,7 @@ from rich.table import Table
 from fringebench.cli.outputs import check_outputs
 from fringebench.cli.overrides import part_names
 from fringebench.cli.shared_options import AsJson, Fusion, MmPerUnit, PartNames, ShowProgress
-from fringebench.cli.terminal import answer_console, print_json, progress_steps, say
+from fringebench.cli.terminal import print_figures, print_json, progress_steps, say
 from fringebench.progress import Mode
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def import_capture(
             style = STYLES[finding.verdict]
             verdict = f"[{style}]{finding.verdict}[/]"
             table.add_row(escape(finding.name), verdict, escape(finding.message))
-        answer_console().print(table)
+        print_figures([table])
     if check:
         raise typer.Exit(1 if report.wrong else 0)
     if not force:

@@ -21,7 +21,7 @@ from fringebench.cli.shared_options import (
     ShowProgress,
     scene_names,
 )
-from fringebench.cli.terminal import answer_console, print_json, progress_steps, say
+from fringebench.cli.terminal import answer_console, print_figures, print_json, progress_steps, say
 from fringebench.progress import Mode
 
 if TYPE_CHECKING:
@@ -208,7 +208,7 @@ def budget(
         print_json(found.to_dict())
         return
     console = answer_console()
-    console.print(budget_table(found))
+    print_figures([budget_table(found)])
     if found.absent:
         console.print(f"not in this scene: {', '.join(found.absent)}")
 

@@ -21,7 +21,7 @@ from fringebench.cli.shared_options import (
     ShowProgress,
     scene_names,
 )
-from fringebench.cli.terminal import answer_console, print_json, progress_steps, say
+from fringebench.cli.terminal import print_figures, print_json, progress_steps, say
 from fringebench.pages.figure_tables import figure_table
 from fringebench.progress import Mode
 
@@ -30,10 +30,6 @@ if TYPE_CHECKING:
     from scenes import Scene
 
 app = typer.Typer()
-
-
-# Width of the budget's table, in characters.
-BUDGET_COLUMNS = 100
 
 
 @app.command("pads", epilog="Example: fringebench pads spi --budget")
@@ -140,11 +136,7 @@ def pads(
     if as_json:
         print_json(answer)
         return
-    console = answer_console()
-    # A table cut to fewer columns would show cut figures.
-    console.width = max(console.width, BUDGET_COLUMNS)
-    for table in tables:
-        console.print(table)
+    print_figures(tables)
 
 
 def _warp(found: "Inspection") -> dict[str, float] | None:
@@ -195,7 +187,7 @@ def _capture(
         return
     rows = [(name, str(count)) for name, count in counts.most_common()]
     table = figure_table(f"{len(measured)} pads measured", "verdict", ["pads"], rows)
-    answer_console().print(table)
+    print_figures([table])
 
 
 def _errors(errors: dict[str, Any], title: str) -> Table:
@@ -276,7 +268,7 @@ def board_files(
             rows.append([f"{layer.role}: {layer.file}", *cells, layer.note or str(layer.agrees)])
         names = ["mm2", "second reader", "apart", "agrees"]
         title = f"{found.pads} paste openings"
-        answer_console().print(figure_table(title, "layer", names, rows))
+        print_figures([figure_table(title, "layer", names, rows)])
         if found.outside:
             say(f"outside the outline, not printed: {', '.join(found.outside)}")
     if found.outside or not all(layer.agrees for layer in found.layers):

@@ -6,7 +6,7 @@ import typer
 
 from fringebench.cli.commands.stages import Folder
 from fringebench.cli.shared_options import AsJson, Seed, ShowProgress
-from fringebench.cli.terminal import answer_console, print_json, progress_steps, say
+from fringebench.cli.terminal import print_figures, print_json, progress_steps, say
 from fringebench.progress import Mode
 
 app = typer.Typer()
@@ -50,6 +50,6 @@ def methods(
         return
     from fringebench.pages.method_map_page import map_table
 
-    answer_console().print(map_table(found))
+    print_figures([map_table(found)])
     if output:
         say(f"page in {output / 'report.html'}")

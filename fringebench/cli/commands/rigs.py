@@ -18,7 +18,7 @@ from fringebench.cli.shared_options import (
     Settings,
     ShowProgress,
 )
-from fringebench.cli.terminal import answer_console, print_json, progress_steps, say
+from fringebench.cli.terminal import answer_console, print_figures, print_json, progress_steps, say
 from fringebench.progress import Mode
 
 app = typer.Typer()
@@ -129,7 +129,7 @@ def calibrate(
             f"{difference:+.3%}" if relative else f"{difference:+.4g}",
         )
     console = answer_console()
-    console.print(table)
+    print_figures([table])
     console.print(
         f"{result.views} views, {result.corners} corners; reprojection error camera {result.camera_rms_px:.4f} px, projector "
         f"{result.projector_rms_px:.4f} px, together {result.stereo_rms_px:.4f} px; corners found to "
@@ -166,7 +166,7 @@ def accept(
             from_noise = f"{noise[name] * 1e3:.1f} µm" if name in noise else ""
             table.add_row(name, f"{value * 1e3:.1f} µm", from_noise)
         console = answer_console()
-        console.print(table)
+        print_figures([table])
         console.print(
             f"volume diagonal {result.diagonal_mm:.3g} mm, spheres {result.sphere_mm:.3g} mm, bar {result.bar_mm:.4g} mm, plane "
             f"{result.plane_mm[0]:.3g} x {result.plane_mm[1]:.3g} mm; {len(result.positions)} positions"

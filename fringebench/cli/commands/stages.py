@@ -19,7 +19,7 @@ from fringebench.cli.shared_options import (
     Settings,
     ShowProgress,
 )
-from fringebench.cli.terminal import answer_console, print_json, progress_steps, say
+from fringebench.cli.terminal import answer_console, print_figures, print_json, progress_steps, say
 from fringebench.progress import Mode
 
 app = typer.Typer()
@@ -56,10 +56,8 @@ def run(
     from fringebench.pages.score_tables import extra_tables, fused_title, score_table
 
     console = answer_console()
-    console.print(score_table(result.naive, NAIVE_TITLE))
-    console.print(score_table(result.score, fused_title(len(result.stack.exposure_ms), fusion)))
-    for table in extra_tables(result.score):
-        console.print(table)
+    fused = score_table(result.score, fused_title(len(result.stack.exposure_ms), fusion))
+    print_figures([score_table(result.naive, NAIVE_TITLE), fused, *extra_tables(result.score)])
     said = describe(result.score.light) if result.score.light else describe_regions(result.score)
     if said:
         console.print(said, soft_wrap=True)
@@ -98,7 +96,7 @@ def list_scenes(
             table = Table("scene", "what it shows")
             for shipped, description in listed.items():
                 table.add_row(shipped, description)
-            answer_console().print(table)
+            print_figures([table])
 
 
 @app.command("render", epilog="Example: fringebench render step -o transport.exr --truth truth.exr")
@@ -369,9 +367,9 @@ def evaluate(
     from fringebench.experiments.noise_summary import describe_regions
     from fringebench.pages.score_tables import extra_tables, score_table
 
-    answer_console().print(score_table(score, escape(str(reconstruction))))
+    print_figures([score_table(score, escape(str(reconstruction)))])
     for table in extra_tables(score):
-        answer_console().print(table)
+        print_figures([table])
     if said := describe_regions(score):
         answer_console().print(said, soft_wrap=True)
     beyond = [
@@ -398,7 +396,7 @@ def chapter(
     if as_json:
         print_json(result.to_dict())
         return
-    answer_console().print(chapter_table(result))
+    print_figures([chapter_table(result)])
     if output:
         say(f"figures in {output}")
 
@@ -414,7 +412,7 @@ def doctor(as_json: AsJson = False) -> None:
     else:
         from fringebench.pages.score_tables import doctor_table
 
-        answer_console().print(doctor_table(diagnosis))
+        print_figures([doctor_table(diagnosis)])
         for problem in diagnosis.problems:
             answer_console().print(f"[bold red]missing:[/] {escape(problem)}")
     if not diagnosis.healthy:

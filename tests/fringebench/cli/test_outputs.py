@@ -8,6 +8,7 @@ import pytest
 from rich.table import Table
 
 from fringebench.cli.terminal import print_figures
+from fringebench.pages.figure_tables import figure_table
 
 Call = Callable[..., tuple[int, str, str]]
 SMALL = ["--set", "camera.resolution=[24,18]", "--set", "sampling.samples=2"]
@@ -81,3 +82,9 @@ def test_figures_are_never_cut_short(capsys: pytest.CaptureFixture[str]) -> None
     out = capsys.readouterr().out
     assert out.count("-1234.567 ±0.001") == 8
     assert "…" not in out
+
+
+def test_scores_of_large_errors_are_never_cut_short(capsys: pytest.CaptureFixture[str]) -> None:
+    figures = "valid %", "bias µm", "RMS µm", "pred. µm", "p95 µm", "outl. %", "rend. ×", "more"
+    print_figures([figure_table("scores", "region", figures, [["mirror", *["-1032.4"] * 8]])])
+    assert capsys.readouterr().out.count("-1032.4") == 8
