@@ -139,6 +139,7 @@ def test_margins_are_the_larger_of_phase_and_noise() -> None:
     assert margins.of("bias_mm", 2.0, 1.0) == pytest.approx(0.1)
     assert margins.of("systematic_mm", 2.0, 0.0) == pytest.approx(0.02)
     assert margins.of("systematic_mm", 2.0, 1.0) == pytest.approx(0.5)
+    assert margins.of("excess_sigma_mm", 2.0, 0.0) == pytest.approx(0.002)
     assert margins.of("excess_sigma_mm", 2.0, 1.0) == pytest.approx(0.1)
     assert margins.of("silent_fraction", 2.0, 1.0) == 0.02
     assert margins.of("beyond_2_sigma_fraction", 2.0, 1.0) == 0.03
