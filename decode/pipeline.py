@@ -216,7 +216,7 @@ def _pair(stack: Stack, options: Options) -> Reconstruction:
         )
     heights = options.height_range_mm or rig.height_range_mm
     cameras = rig.camera, rig.second_camera
-    left, right = (_view(stack, camera) for camera in (0, 1))
+    left, right = (camera_view(stack, camera) for camera in (0, 1))
     plain = all(frame.kind in UNCODED for frame in left.patterns)
     for name in (*NOT_OF_PAIRS, *(OF_PHASES if plain else ("matcher",))):
         value = getattr(options, name)
@@ -231,8 +231,8 @@ def _pair(stack: Stack, options: Options) -> Reconstruction:
     return replace(found, calibration=rig)
 
 
-def _view(stack: Stack, camera: int) -> Stack:
-    """The frames of one camera of a pair."""
+def camera_view(stack: Stack, camera: int) -> Stack:
+    """The frames of one camera of a pair, 0 or 1; `DecodeError` if they are missing."""
     at = [i for i, frame in enumerate(stack.patterns) if frame.camera == camera]
     if not at or at != list(range(at[0], at[-1] + 1)):
         raise DecodeError(

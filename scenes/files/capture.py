@@ -15,7 +15,7 @@ The manifest is TOML::
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isclose
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -61,6 +61,15 @@ class Imported:
     """What was found in the files themselves."""
 
 
+class SecondView(Frozen):
+    """Images of the same frames by a second camera, which the calibration's second device is."""
+
+    files: Annotated[tuple[str, ...], Field(min_length=1)]
+    """As the capture's."""
+    folder: Path = Path()
+    """Folder of the files, relative to the manifest's."""
+
+
 class Capture(Frozen):
     """A manifest: how image files become a `Stack`."""
 
@@ -90,6 +99,8 @@ class Capture(Frozen):
     """Columns, rows of the projector; absent: the calibration's."""
     gamma: Annotated[float, Field(ge=0.2, le=5.0)] | None = None
     """Gamma of projector and camera, which decoding undoes; absent: `fringebench import` measures it."""
+    second_view: SecondView | None = None
+    """The second camera of a pair, for stereo by phase; the projector needs no calibration then."""
     calibration: opencv_calibration.Source | None = None
     """OpenCV's files."""
     rig: Calibration | None = None
@@ -101,6 +112,10 @@ class Capture(Frozen):
     def _one_rig(self) -> Self:
         if self.calibration is not None and self.rig is not None:
             raise ValueError("both calibration and rig are given: keep one of them")
+        if self.second_view is not None and self.calibration is None:
+            raise ValueError(
+                "second_view needs the calibration of the two cameras: add [calibration] files"
+            )
         return self
 
     @model_validator(mode="after")
@@ -155,6 +170,9 @@ class Capture(Frozen):
             ) from None
         base = source.resolve().parent
         placed: dict[str, Any] = {"folder": base / capture.folder}
+        if capture.second_view:
+            folder = base / capture.second_view.folder
+            placed["second_view"] = capture.second_view.model_copy(update={"folder": folder})
         if capture.calibration:
             files = tuple(base / file for file in capture.calibration.files)
             placed["calibration"] = capture.calibration.model_copy(update={"files": files})
@@ -216,6 +234,8 @@ class Capture(Frozen):
         FileError
             A file, its size or depth, or the calibration does not fit the manifest.
         """
+        if self.second_view is not None:
+            return self._of_pair(self.second_view)
         if isinstance(self.frames[0], PhaseMap | OrderMap):
             return self._of_maps()
         planes = self.planes()
@@ -247,6 +267,41 @@ class Capture(Frozen):
             projector_resolution=self.projector_resolution,
             gamma=self.gamma,
         )
+
+    def _of_pair(self, second: SecondView) -> Imported:
+        """Both cameras' frames, one after the other, with the noise model of the noisier one that saturates first."""
+        plain = {"second_view": None, "calibration": None}
+        views = [
+            self.model_copy(update=plain | changes).imported()
+            for changes in ({}, {"files": second.files, "folder": second.folder})
+        ]
+        first, other = (view.stack for view in views)
+        if first.frames.shape != other.frames.shape:
+            raise FileError(
+                f"the views have {first.resolution} and {other.resolution} pixels: import each by itself, and use "
+                "`fringebench stereo` with the two stacks"
+            )
+        sensor = min(first.sensor, other.sensor, key=lambda sensor: sensor.saturation_dn)
+        if isinstance(sensor, SimpleSensor):
+            noise = max(
+                s.sigma_dn for s in (first.sensor, other.sensor) if isinstance(s, SimpleSensor)
+            )
+            sensor = sensor.model_copy(update={"sigma_dn": noise})
+        assert self.calibration is not None
+        found = [
+            replace(f, name=f"{name}, {f.name}")
+            for name, view in zip(("first view", "second view"), views, strict=True)
+            for f in view.findings
+        ]
+        stack = Stack(
+            np.concatenate([first.frames, other.frames], axis=1),
+            (*first.patterns, *(replace(f, camera=1) for f in other.patterns)),
+            self.exposures_ms,
+            sensor,
+            self.calibration.camera_pair(first.resolution, self.projector_resolution),
+            gamma=self.gamma,
+        )
+        return Imported(stack, tuple(found))
 
     def _of_maps(self) -> Imported:
         """The stack whose phases are those of the maps."""

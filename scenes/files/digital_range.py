@@ -189,9 +189,9 @@ def _together(
 def _sets(patterns: Sequence[Frame]) -> Iterator[list[int]]:
     """Indices of the frames of each fringe set."""
 
-    def key(k: int) -> tuple[int, str, float]:
+    def key(k: int) -> tuple[int, int, str, float]:
         frame = patterns[k]
-        return frame.projector, frame.axis, frame.period_px
+        return frame.camera, frame.projector, frame.axis, frame.period_px
 
     fringes = sorted((k for k, f in enumerate(patterns) if f.kind == "fringe"), key=key)
     for _, members in groupby(fringes, key=key):

@@ -61,6 +61,21 @@ class Source(Frozen):
         """
         return self.pair().calibration(self, camera, projector)
 
+    def camera_pair(self, camera: Resolution, projector: Resolution | None = None) -> Calibration:
+        """Two cameras of one resolution (columns, rows), and a projector of which the size alone counts.
+
+        Raises `FileError` as `calibration` does.
+        """
+        rig = self.calibration(camera, camera)
+        light = rig.projectors[0]
+        right = Pinhole.model_validate(
+            light.model_dump(include=set(Pinhole.model_fields) - {"model"})
+        )
+        size = projector or camera
+        middle = {"cx_px": size[0] / 2.0, "cy_px": size[1] / 2.0}
+        unknown = light.model_copy(update={"resolution": size, "calibrated_at": size, **middle})
+        return rig.model_copy(update={"second_camera": right, "projectors": (unknown,)})
+
 
 @dataclass(frozen=True)
 class Intrinsics:

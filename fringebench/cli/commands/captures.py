@@ -51,9 +51,12 @@ def import_capture(
     What the images contradict (frames exchanged, a wrong period, another camera's calibration) is refused with the reason.
     With --check the exit status is 1 if a check says wrong.
     """
+    import numpy as np
+
     from decode.checks import flicker, stack_check
     from decode.codings.rewriting import as_fringes
     from decode.phase.gamma import response
+    from decode.pipeline import camera_view
     from scenes.files.capture import Capture
 
     steps = progress_steps(progress)
@@ -63,17 +66,25 @@ def import_capture(
     with steps.step("read images"):
         imported = capture.imported()
     stack = imported.stack
+    pair = any(frame.camera for frame in stack.patterns)
+    views = tuple(camera_view(stack, c) for c in (0, 1)) if pair else (stack,)
     if equalise:
         with steps.step("equalise"):
-            stack = flicker.equalise(stack)
+            views = tuple(flicker.equalise(view) for view in views)
     if capture.gamma is None:
-        stack = replace(stack, gamma=response(as_fringes(stack).stack))
-    with steps.step("check"):
-        found = stack_check.check(stack, capture.projector_resolution)
+        gamma = response(as_fringes(views[0]).stack)
+        views = tuple(replace(view, gamma=gamma) for view in views)
+    frames = np.concatenate([view.frames for view in views], axis=1) if pair else views[0].frames
+    stack = replace(stack, frames=frames, gamma=views[0].gamma)
     # Brightness from step to step says nothing where one image gave all four.
     shots = [f.name.replace("single shot", "brightness") for f in imported.findings]
-    kept = tuple(f for f in found.findings if f.name not in shots)
-    report = stack_check.CheckReport((*imported.findings, *kept))
+    findings = list(imported.findings)
+    for name, view in zip(("first view, ", "second view, ") if pair else ("",), views, strict=True):
+        with steps.step(f"{name}check"):
+            found = stack_check.check(view, capture.projector_resolution)
+        named = (replace(f, name=f"{name}{f.name}") for f in found.findings)
+        findings += [f for f in named if f.name not in shots]
+    report = stack_check.CheckReport(tuple(findings))
     if as_json:
         written = None if check or (report.wrong and not force) else str(output)
         print_json({"stack": written, **_described(stack), **report.to_dict()})

@@ -2,15 +2,20 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 
 import decode
-from scenes import Calibration
+from fringebench.exchange.capture_export import export
+from scenes import Calibration, Stack
+from scenes.acquisition.sensor import SimpleSensor
 from scenes.rig import opencv_calibration
 from scenes.rig.projectors import PinholeProjector
+from scenes.support.safe_parse import parse_toml
 from tests.decode.test_stereo_phase import BOTH, camera, look
 
 Call = Callable[..., tuple[int, str, str]]
@@ -67,3 +72,29 @@ def test_parts_of_other_names_are_found_by_name(captured: np.ndarray, call: Call
     assert rec.valid.any() and not rec.valid[:20].any()
     status, _, err = call("stereo", *words, "--name", "rotation")
     assert (status, "PART=NAME" in err) == (2, True)
+
+
+def test_both_views_in_one_manifest_are_imported_and_decoded(
+    captured: np.ndarray, call: Call
+) -> None:
+    for name in ("left", "right"):
+        stack = Stack.read(f"{name}.exr")
+        counts = np.rint(100.0 * stack.frames).astype(np.uint16)
+        sensor = SimpleSensor(bits=16, sigma_dn=1.0)
+        export(replace(stack, frames=counts, sensor=sensor, calibration=None), name)
+    tree = parse_toml(Path("left/manifest.toml").read_text())
+    files = tree.pop("files")
+    views = {"files": files, "folder": "left", "second_view": {"files": files, "folder": "right"}}
+    pair = {"calibration": {"files": ["pair.yml"], "depth_range_mm": [50.0, 70.0]}}
+    Path("pair.toml").write_text(
+        tomli_w.dumps({**tree, **views, "projector_resolution": [400, 400]} | pair)
+    )
+    status, out, err = call("import", "pair.toml", "-o", "pair.exr", "--json")
+    assert status == 0, err
+    names = {f["name"].split(",")[0] for f in json.loads(out)["findings"]}
+    assert names == {"first view", "second view"}
+    assert call("decode", "pair.exr", "-o", "heights.exr")[0] == 0
+    rec = decode.Reconstruction.read("heights.exr")
+    assert rec.valid.mean() > 0.5
+    # the bound of the first test: rounding of 0.29 DN on a modulation of thousands adds nothing to it
+    assert np.abs(rec.height_mm + captured)[rec.valid].max() < 2e-3
