@@ -11,7 +11,6 @@ from typing import Literal
 import scenes
 from evaluation.hdr.comparison import StrategyComparison
 from evaluation.hdr.light_budget import BUDGETS, LightBudget
-from evaluation.output.report import Report
 from evaluation.scoring.error_budget import ErrorBudget
 from fringebench.datasets.building import Built, build
 from fringebench.datasets.dataset_plan import DatasetPlan
@@ -153,7 +152,8 @@ def compare(
         from fringebench.pages.comparison_tables import write
 
         write(result, out)
-        _report(compare_report(result, scenes.dumps(loaded), steps.seconds), out)
+        report = compare_report(result, scenes.dumps(loaded), steps.seconds)
+        report.write(out / "report.html")
     return result
 
 
@@ -215,7 +215,8 @@ def budget(
 
         write_json(found.to_dict(), out / "budget.json")
         toml = scenes.dumps(loaded)
-        _report(budget_report(found, toml, seed, steps.seconds, loaded.description), out)
+        report = budget_report(found, toml, seed, steps.seconds, loaded.description)
+        report.write(out / "report.html")
     return found
 
 
@@ -360,7 +361,3 @@ def dataset(
 
 def _scene(scene: Scene | str) -> Scene:
     return scenes.load(scene) if isinstance(scene, str) else scene
-
-
-def _report(report: Report, folder: Path) -> None:
-    report.write(folder / "report.html")

@@ -96,26 +96,6 @@ def draw_map(
     axes.figure.colorbar(image, label=unit, extend=beyond(shown, low, high), **place)
 
 
-def map_axes(shape: tuple[int, int], right: float = RIGHT) -> tuple[Figure, Any]:
-    """A figure with axes for one map of an image of that shape (row, col), its pixels shown one to one.
-
-    Margins are fixed (`right` in inches): computing them would take longer than drawing.
-    """
-    rows, cols = shape
-    zoom = max(1, SMALL_PX // cols) if cols <= IMAGE_PX else IMAGE_PX / cols
-    width, height = cols * zoom / DPI, rows * zoom / DPI
-    # Leave room for labels, even for an image of a few rows.
-    figure = Figure((width + LEFT + right, max(height, 1.2) + TOP + BOTTOM), dpi=DPI)
-    full_width, full_height = figure.get_size_inches()
-    box = (
-        LEFT / full_width,
-        BOTTOM / full_height,
-        width / full_width,
-        1.0 - (TOP + BOTTOM) / full_height,
-    )
-    return figure, figure.add_axes(box)
-
-
 def panels(
     count: int, columns: int, width: float, height: float, foot: float = 0.0
 ) -> tuple[Figure, list[Any]]:
@@ -141,11 +121,16 @@ def map_figure(
     limits: tuple[float, float] | None = None,
     cmap: str | Colormap = "viridis",
 ) -> Figure:
-    """One map, see `draw_map`."""
-    figure, axes = map_axes((values.shape[0], values.shape[1]))
-    inch = 1.0 / figure.get_size_inches()[0]
-    box = axes.get_position()
-    bar = figure.add_axes((box.x1 + 0.12 * inch, box.y0, 0.18 * inch, box.height))
+    """One map, see `draw_map`, its pixels shown one to one; margins are fixed, as computing them takes longer than drawing."""
+    rows, cols = values.shape
+    zoom = max(1, SMALL_PX // cols) if cols <= IMAGE_PX else IMAGE_PX / cols
+    width, height = cols * zoom / DPI, rows * zoom / DPI
+    # Leave room for labels, even for an image of a few rows.
+    full = (width + LEFT + RIGHT, max(height, 1.2) + TOP + BOTTOM)
+    figure = Figure(full, dpi=DPI)
+    bottom, tall = BOTTOM / full[1], 1.0 - (TOP + BOTTOM) / full[1]
+    axes = figure.add_axes((LEFT / full[0], bottom, width / full[0], tall))
+    bar = figure.add_axes(((LEFT + width + 0.12) / full[0], bottom, 0.18 / full[0], tall))
     draw_map(axes, values, title, unit, limits=limits, cmap=cmap, bar=bar)
     return figure
 
