@@ -274,7 +274,7 @@ def methods(
 
         write_json(found.to_dict(), out / "methods.json")
         save(map_figure(found), out / "methods.png")
-        _report(map_report(found, steps.seconds), out)
+        map_report(found, steps.seconds).write(out / "report.html")
     return found
 
 
