@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from fringebench.pages.method_table import best_methods
+from fringebench.pages.strategy_table import best_strategies
 
 PAGE = Path(__file__).parent / "which-strategy.md"
 START, END = "<!-- table -->", "<!-- end of table -->"
@@ -68,7 +68,7 @@ def table(folder: Path) -> str:
     lines.append("|---|---|---|---|---|")
     for surface, run, label, usual in ROWS:
         entries = {e["name"]: e for e in answer(folder, run)["strategies"]}
-        best, *tied = best_methods(list(entries.values()), label)
+        best, *tied = best_strategies(list(entries.values()), label)
         others = f" (tied: {', '.join(f'`{n}`' for n in tied)})" if tied else ""
         lines.append(
             f"| {surface} (`{run}`, `{label}`) | `{best}`{others} | {figures(entries[best], label)} | `{usual}` | "

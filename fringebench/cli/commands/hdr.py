@@ -127,7 +127,7 @@ def strategies_by_surface(
     import scenes
     from evaluation.hdr.light_budget import known_budgets
     from fringebench import verbs
-    from fringebench.pages.method_table import best_methods, method_table, surfaces
+    from fringebench.pages.strategy_table import best_strategies, strategy_table, surfaces
 
     (equal,) = known_budgets([budget])
     steps = progress_steps(progress)
@@ -142,14 +142,14 @@ def strategies_by_surface(
         left_out += [(word, name, reason) for name, _, reason in result.left_out]
     if as_json:
         best = [
-            {"scene": name, "region": label, "best": best_methods(found[name], label)}
+            {"scene": name, "region": label, "best": best_strategies(found[name], label)}
             for name, label in surfaces(found)
         ]
         lost = [dict(zip(("scene", "name", "reason"), one, strict=True)) for one in left_out]
         print_json({"budget": equal, "surfaces": best, "strategies": found, "left_out": lost})
         return
     title = f"median height error, {equal}; = smallest of those that cover most, or tied with it; (share measured)"
-    print_figures([method_table(found, title)])
+    print_figures([strategy_table(found, title)])
     for name, strategy, reason in left_out:
         say(f"left out: {strategy} on {name}: {reason}")
 

@@ -1,10 +1,10 @@
-"""The table of method by surface: coverage comes before error, and overlapping intervals are a tie."""
+"""The table of strategy by surface: coverage comes before error, and overlapping intervals are a tie."""
 
 import json
 from collections.abc import Callable
 from typing import Any
 
-from fringebench.pages.method_table import best_methods, method_table
+from fringebench.pages.strategy_table import best_strategies, strategy_table
 
 
 def entry(name: str, median_um: float | None, coverage: float, half_width_um: float = 0.1) -> Any:
@@ -14,20 +14,20 @@ def entry(name: str, median_um: float | None, coverage: float, half_width_um: fl
     return {"name": name, "regions": {"ink": region}}
 
 
-def test_method_that_measures_less_does_not_win_and_ties_are_named() -> None:
+def test_strategy_that_measures_less_does_not_win_and_ties_are_named() -> None:
     # a: 5.0 of everything; b: overlaps with it; c: apart; d: more accurate, but measures half; e: nothing.
     entries = [
         *(entry("c", 5.3, 1.0), entry("a", 5.0, 0.995), entry("b", 5.15, 1.0)),
         *(entry("d", 1.0, 0.5), entry("e", None, 0.0)),
     ]
-    assert best_methods(entries, "ink") == ["a", "b"]
-    table = method_table({"scene": entries}, "t")
+    assert best_strategies(entries, "ink") == ["a", "b"]
+    table = strategy_table({"scene": entries}, "t")
     names, cells = (list(column.cells) for column in table.columns)
     expected = {"c": "5.30", "a": "5.00 =", "b": "5.15 =", "d": "1.00 (50 %)", "e": "-"}
     assert dict(zip(names, cells, strict=True)) == expected
 
 
-def test_methods_of_two_scenes_are_answered_in_json(call: Callable[..., Any]) -> None:
+def test_strategies_of_two_scenes_are_answered_in_json(call: Callable[..., Any]) -> None:
     small = ("--set", "camera.resolution=[48,36]", "--set", "sampling.samples=2", "--repeats", 2)
     words = ("ink", "step", "--strategies", "single,max-modulation", *small, "--json")
     status, out, err = call("strategies", *words)

@@ -1,4 +1,4 @@
-"""Method by surface: which strategy errs least on which region of which scene."""
+"""Strategy by surface: which strategy errs least on which region of which scene."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -10,15 +10,15 @@ from fringebench.pages.figure_tables import figure_table
 
 Entries = Sequence[Mapping[str, Any]]
 """Strategies under one budget, as in ``compare.json``."""
-# Coverage that a method may lack to the best one's and still be compared with it.
+# Coverage that a strategy may lack to the best one's and still be compared with it.
 COVERAGE_APART = 0.01
 # Coverage from which the table does not state it.
 WHOLE = 0.995
 
 
-def best_methods(entries: Entries, label: str) -> list[str]:
-    """Names of the methods for one region: that of the smallest median error among those that cover most, then those whose
-    intervals overlap with its; none if no method measured it.
+def best_strategies(entries: Entries, label: str) -> list[str]:
+    """Names of the strategies for one region: that of the smallest median error among those that cover most, then those whose
+    intervals overlap with its; none if no strategy measured it.
     """
     found = {e["name"]: e["regions"][label] for e in entries}
     found = {n: r for n, r in found.items() if r["median_abs_mm"] is not None}
@@ -43,10 +43,10 @@ def surfaces(found: Mapping[str, Entries]) -> list[tuple[str, str]]:
     ]
 
 
-def method_table(found: Mapping[str, Entries], title: str) -> Table:
-    """Median height error of each method (row) on each surface (column); ``=`` marks the best and those tied with it."""
+def strategy_table(found: Mapping[str, Entries], title: str) -> Table:
+    """Median height error of each strategy (row) on each surface (column); ``=`` marks the best and those tied with it."""
     columns = surfaces(found)
-    best = {surface: best_methods(found[surface[0]], surface[1]) for surface in columns}
+    best = {surface: best_strategies(found[surface[0]], surface[1]) for surface in columns}
     rows: dict[str, list[str]] = {e["name"]: [] for entries in found.values() for e in entries}
     for scene, label in columns:
         regions = {e["name"]: e["regions"][label] for e in found[scene]}
@@ -54,7 +54,7 @@ def method_table(found: Mapping[str, Entries], title: str) -> Table:
             cells.append(_cell(regions.get(name), name in best[scene, label]))
     heads = [f"{scene}\n{label}\nµm" for scene, label in columns]
     lines = [[name, *cells] for name, cells in rows.items()]
-    return figure_table(title, "method", heads, lines, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    return figure_table(title, "strategy", heads, lines, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
 
 
 def _cell(region: Mapping[str, Any] | None, best: bool) -> str:
