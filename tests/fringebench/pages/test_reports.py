@@ -69,7 +69,7 @@ def test_report_opens_without_error_or_network_and_figures_have_size(page: Any) 
 
 @pytest.mark.slow
 def test_program_of_the_3d_view_is_unpacked_when_it_comes_into_view(page: Any) -> None:
-    # It takes seconds of processor time, which a reader of the tables would wait for in vain.
+    # It takes seconds of processor time, which a reader of the tables does not need.
     page.wait_for_load_state("load")
     assert page.evaluate("() => typeof window.Plotly") == "undefined"
     drawn_surface(page)
