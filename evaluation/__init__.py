@@ -14,7 +14,7 @@ from evaluation.inspection.repeatability import GaugeStudy, capability, gauge_st
 from evaluation.inspection.spi_csv import read_spi_csv, write_spi_csv
 from evaluation.output.cloud import normals, triangles, write_cloud
 from evaluation.output.height_image import write_height_image
-from evaluation.scoring.disparity import DisparityScore, disparity_error_px
+from evaluation.scoring.disparity import DisparityScore
 from evaluation.scoring.error_budget import ErrorBudget
 from evaluation.scoring.feature_fits import Feature, features, robust_fit
 from evaluation.scoring.reference_bodies import FittedPlane, FittedSphere, fit_plane, fit_sphere
@@ -33,7 +33,7 @@ from evaluation.theory.cramer_rao import Efficiency, FringeLight, efficiency, ph
 __all__ = [
     "DisparityScore", "Efficiency", "ErrorBudget", "Feature", "FittedPlane", "FittedSphere", "FringeLight",
     "GaugeStudy", "PadLimits", "PadMeasure", "RegionScore", "SaturationBias", "Score", "Strategy",
-    "UnlitScore", "capability", "confusion", "disparity_error_px", "efficiency", "features", "fit_plane", "fit_sphere",
+    "UnlitScore", "capability", "confusion", "efficiency", "features", "fit_plane", "fit_sphere",
     "gauge_study", "height_error_mm", "judge", "measure_pads", "measured_warp", "normals", "pad_errors",
     "phase_bound_rad2", "read_spi_csv", "region_scores", "robust_fit", "saturation_bias", "score",
     "scored", "strategies", "threshold_shares", "triangles", "write_cloud", "write_height_image",

@@ -24,29 +24,12 @@ class DisparityScore:
     """Not measured, or off by more than two."""
 
 
-def disparity_error_px(rec: Reconstruction, truth: Truth) -> NDArray[np.float64] | None:
-    """Distance in the second camera's image between the measured and the true point, px.
+def disparity_scores(
+    rec: Reconstruction, truth: Truth, masks: Mapping[str, NDArray[np.bool_]]
+) -> dict[str, DisparityScore] | None:
+    """Shares of bad pixels of each region (row, col); None without a second camera.
 
-    Parameters
-    ----------
-    rec
-        The reconstruction, of any method.
-    truth
-        Truth of the same scene and resolution.
-
-    Returns
-    -------
-    ndarray of float64, (row, col), or None
-        0 or more, px; NaN where a pixel is not valid or has no truth. None without the calibration of a second camera.
-
-    Examples
-    --------
-    >>> rec = Reconstruction.of_heights([[0.0, 1.0]])
-    >>> one = np.ones((1, 1, 2), np.float32)
-    >>> xyz = np.zeros((1, 2, 3), np.float32)
-    >>> truth = Truth(xyz, xyz, one[0].astype(np.uint16), ("base",), one > 0, one, one, one)
-    >>> disparity_error_px(rec, truth) is None
-    True
+    The error is the distance between the measured and the true point in the second camera's image.
     """
     rig = rec.calibration
     if rig is None or rig.second_camera is None:
@@ -54,16 +37,7 @@ def disparity_error_px(rec: Reconstruction, truth: Truth) -> NDArray[np.float64]
     first, second = rig.camera.projection(), rig.second_camera.projection()
     measured = first.points_at(np.where(rec.valid, rec.height_mm, np.nan))
     seen, wanted = second.project(measured)[0], second.project(truth.xyz_mm)[0]
-    return np.asarray(np.hypot(*np.moveaxis(seen - wanted, -1, 0)), np.float64)
-
-
-def disparity_scores(
-    rec: Reconstruction, truth: Truth, masks: Mapping[str, NDArray[np.bool_]]
-) -> dict[str, DisparityScore] | None:
-    """Shares of bad pixels of each region; None without a second camera."""
-    error_px = disparity_error_px(rec, truth)
-    if error_px is None:
-        return None
+    error_px = np.hypot(*np.moveaxis(seen - wanted, -1, 0))
     return {
         label: DisparityScore(
             *(float((~(error_px[m] <= limit)).mean()) if m.any() else None for limit in (1.0, 2.0))

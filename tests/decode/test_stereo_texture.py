@@ -1,6 +1,7 @@
 """Two cameras that see one texture, from formulas alone."""
 
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,7 @@ def texture(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float6
     return np.asarray(2000.0 + 60.0 * waves.sum(axis=-1))
 
 
+@cache
 def pair(second: Pinhole, contrast: float = 1.0) -> tuple[Stack, NDArray[np.float64]]:
     """Stack of both cameras with noise of 10 DN, and the first one's true heights."""
     first, rng, frames = camera((0.0, 2.0, 60.0)), np.random.default_rng(0), []

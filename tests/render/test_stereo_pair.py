@@ -98,6 +98,25 @@ def test_commands_serve_a_pair_stage_by_stage(
     assert score["regions"]["cap"]["predicted_sd_mm"] is None
 
 
+def test_bad_matches_are_those_off_by_more_pixels_of_disparity() -> None:
+    scene = scenes.load("stereo", SMALL)
+    truth = render.truth(scene, render.trace(scene, samples=2))
+    base = truth.region("base") & truth.lit
+    # f = 600 px at this size. A camera at a distance r sees a rise dz as f dz sin(a) / r px, sin(a) = b / r; r^2 = b^2 + z^2 at the
+    # middle of the image, and 16 % off at x = -20 mm.
+    mm_per_px = (100.4**2 + 300.0**2) / (600.0 * 100.4)
+    for off_px, wanted in ((0.8, (0.0, 0.0)), (1.4, (1.0, 0.0)), (2.6, (1.0, 1.0))):
+        height = truth.height_mm + off_px * mm_per_px
+        rec = decode.Reconstruction.of_heights(height, calibration=scene.calibration())
+        found = (evaluation.score(rec, truth).stereo or {})["base"]
+        assert (found.bad_1px, found.bad_2px) == pytest.approx(wanted, abs=0.02), off_px
+    half = base.copy()
+    half[:, ::2] = False
+    rec = decode.Reconstruction.of_heights(truth.height_mm, half, scene.calibration())
+    found = (evaluation.score(rec, truth).stereo or {})["base"]
+    assert found.bad_1px == pytest.approx(1.0 - half.sum() / base.sum())
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
