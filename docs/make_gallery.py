@@ -72,8 +72,8 @@ LESSONS = {
     "mirror": "There is nothing to decode, and nothing is decoded but for some pixels at the rim, to which blur brings the base's light.",
     "mirror-deflectometry": "The same plate by [deflectometry](deflectometry.md): all of it is measured, with slopes to 13 µrad. The "
     "board around it shows no image of the screen, and gets no height.",
-    "lens-deflectometry": "A lens surface by [deflectometry](deflectometry.md): single heights scatter by 13 µm, slopes by 16 µrad. With "
-    "`--height integration` its form is right to some nanometres.",
+    "lens-deflectometry": "A lens surface by [deflectometry](deflectometry.md): single heights scatter by 18 µm, slopes by 18 µrad. With "
+    "`--height integration` the heights of neighbours fit to some nanometres.",
     "dome-deflectometry": "The steeper a mirror, the larger and closer the screen has to be, and the less precise slopes are: the distance "
     "between the positions sets both.",
     "matt-deflectometry": "Where deflectometry fails: the cap mixes light of the whole screen, so it shows no image of it, and the decoder says "

@@ -24,6 +24,7 @@ from scenes.support.atomic_file import replacing
 from scenes.support.errors import ScoreError
 
 UM_PER_MM = 1000.0
+URAD = 1e6
 # Okabe and Ito's colours, distinguishable with every common colour blindness.
 MEASURED, TRUE, PREDICTED = "#0072B2", "#D55E00", "#000000"
 MISSING = "#bbbbbb"
@@ -230,6 +231,13 @@ def figures(rec: Reconstruction, truth: Truth) -> Mapping[str, Figure]:
     if np.isfinite(rec.sigma_mm[rec.valid]).any():
         sigma = np.where(rec.valid, rec.sigma_mm, np.nan) * UM_PER_MM
         found["sigma"] = map_figure(sigma, "Predicted standard deviation", "µm")
+    if rec.slope is not None and rec.slope_sigma is not None:
+        for name, title, values in (
+            ("slope", "Slope ∂z/∂x", rec.slope[0]),
+            ("slope_sigma", "Predicted standard deviation of ∂z/∂x", rec.slope_sigma[0]),
+        ):
+            shown = np.where(rec.valid, values, np.nan) * URAD
+            found[name] = map_figure(shown, title, "µrad")
     if truth.render_noise_mm is not None:
         noise = np.where(rec.valid, truth.render_noise_mm, np.nan) * UM_PER_MM
         found["render_noise"] = map_figure(noise, "Standard deviation from render noise", "µm")

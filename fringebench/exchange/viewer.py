@@ -241,6 +241,11 @@ def _reconstruction(rec: decode.Reconstruction, truth: scenes.Truth | None) -> F
         )
         if np.isfinite(values).any()
     ]
+    if rec.slope is not None:
+        panels += [
+            Panel(f"Slope ∂z/∂{axis}", np.where(rec.valid, values, np.nan) * 1e6, "µrad")
+            for axis, values in zip("xy", rec.slope, strict=True)
+        ]
     if (rec.exposure < 255).any():
         used = np.where(rec.exposure == 255, 0, rec.exposure.astype(np.uint16) + 1)
         taken = range(int(rec.exposure[rec.exposure < 255].max()) + 1)

@@ -31,6 +31,8 @@ CAPTIONS = {
     "error": "Signed error, on a scale symmetric about zero. Structure is bias; uncorrelated grain is noise.",
     "modulation": "Fringe amplitude, in DN of the exposure used for each pixel: where it is low, noise is high.",
     "sigma": "Standard deviation that the decoder predicts.",
+    "slope": "Measured slope along x.",
+    "slope_sigma": "Standard deviation of the slope along x that the decoder predicts.",
     "render_noise": "Standard deviation from the noise of light paths alone, which no camera has; on the scale of the "
     "predicted one.",
     "histograms": "Errors of each region, and the normal distribution of the predicted noise: a wider or shifted "
@@ -45,7 +47,7 @@ def run_report(run: Run, spent: Mapping[str, float]) -> Report:
     profiles = [name for name in drawn if name.startswith("profile-")]
     measured = [
         Picture(drawn[name], CAPTIONS[name])
-        for name in ("modulation", "sigma", "render_noise")
+        for name in ("modulation", "sigma", "slope", "slope_sigma", "render_noise")
         if name in drawn
     ]
     wrong: list[Block] = [Picture(drawn["error"], CAPTIONS["error"])]
