@@ -1,4 +1,4 @@
-"""Which change of a manifest would make its fringes agree: a first phase, the direction of shift, exchanged frames.
+"""Which change of a manifest would make its fringes agree: a first phase, the direction of shift, exchanged frames, a period.
 
 Every candidate is tried on a sample of the pixels: the frames are decoded as if the manifest said so, and the share of
 pixels whose periods disagree is compared.
@@ -26,6 +26,10 @@ AGREE = 0.02
 # phase of three steps misses.
 CLOSE = 0.15
 MAX_PIXELS = 40_000
+# Periods that are tried, relative to the stated one, and pixels that it takes.
+SCALES, FEWEST_PIXELS = np.linspace(-0.06, 0.06, 241), 500
+# A change of the coordinate over the field, in periods, that is worth naming.
+LEAST = 0.05
 Change = Callable[[Sequence[Frame]], list[Frame]]
 
 
@@ -39,7 +43,8 @@ def fitting_change(stack: Stack, axis: Axis, projector: int = 0) -> str:
         projector_resolution=stack.projector_size(projector),
     )
     found: list[tuple[float, int, str]] = []
-    for rank, said, patterns in _candidates(stack, axis, projector):
+    candidates = [*_candidates(stack, axis, projector), *_other_period(small, axis, projector)]
+    for rank, said, patterns in candidates:
         share = _disagreement(replace(small, patterns=patterns), axis, projector)
         if share < AGREE:
             found.append((round(share, 2), rank, said))
@@ -75,6 +80,44 @@ def _candidates(
                 for k, frame in zip(members, changed, strict=True):
                     patterns[k] = frame
             yield rank, said.format(name), tuple(patterns)
+
+
+def _other_period(
+    stack: Stack, axis: Axis, projector: int
+) -> Iterator[tuple[int, str, tuple[Frame, ...]]]:
+    """The finest period that goes with the coordinate of all else: where ``exp(j (phase - 2 pi u / period))`` adds up most."""
+    *_, finest = fringe_sets(stack.patterns, projector).get(axis, (None,))
+    if finest is None:
+        return
+    other = [i for i in range(len(stack.patterns)) if i not in finest.frames]
+    rest = replace(
+        stack, frames=stack.frames[:, other], patterns=tuple(stack.patterns[i] for i in other)
+    )
+    alone = replace(
+        stack,
+        frames=stack.frames[:, list(finest.frames)],
+        patterns=tuple(stack.patterns[i] for i in finest.frames),
+    )
+    try:
+        coarse = reconstruct(rest, height="phase", axis=axis, projector=projector)
+        fine = reconstruct(alone, height="phase", axis=axis, projector=projector, anchor="spatial")
+    except DecodeError:
+        return
+    both = coarse.valid & (fine.reason == Reason.OK)
+    if not coarse.order_known or both.sum() < FEWEST_PIXELS:
+        return
+    at = coarse.phases[axis].coordinate_px[both]
+    turn = np.exp(1j * fine.phases[axis].wrapped_rad[both])
+    frequency = (1.0 + SCALES) / finest.period_px
+    sums = [abs(np.sum(turn * np.exp(-2j * np.pi * f * at))) for f in frequency]
+    best = float(1.0 / frequency[int(np.argmax(sums))])
+    if abs(best / finest.period_px - 1.0) * float(np.ptp(at)) < LEAST * finest.period_px:
+        return
+    patterns = tuple(
+        replace(f, period_px=best) if i in finest.frames else f
+        for i, f in enumerate(stack.patterns)
+    )
+    yield 0, f"period_px = {best:.5g} instead of {finest.period_px:g}", patterns
 
 
 def _changes(stack: Stack, chosen: Sequence[Sequence[int]]) -> Iterator[tuple[str, Change]]:

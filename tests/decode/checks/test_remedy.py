@@ -1,5 +1,6 @@
 """The change of a manifest that makes its fringes agree, for planted mistakes."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -14,8 +15,8 @@ from scenes.files.stack import Stack
 PERIODS = (16.0, 120.0, 1024.0)
 
 
-def taken(steps: int) -> Stack:
-    patterns = PhaseShift(steps=steps, periods_px=PERIODS)
+def taken(steps: int, periods_px: tuple[float, ...] = PERIODS) -> Stack:
+    patterns = PhaseShift(steps=steps, periods_px=periods_px)
     y, x = np.mgrid[:90, :200] + 0.5
     column = 3.0 * x + 20.0 + 20.0 * np.exp(-((x - 90.0) ** 2 + (y - 45.0) ** 2) / 900.0)
     light = np.stack([patterns.commanded(f, column) for f in patterns.frames()])
@@ -55,6 +56,24 @@ def test_value_that_fits_is_named(
     wrong = stated(taken(steps), change, period_px)
     messages = [f.message for f in check(wrong).findings if f.name == "columns, agreement"]
     assert said in messages[0]
+
+
+def stated_period(stack: Stack, period_px: float, other_px: float) -> Stack:
+    patterns = tuple(
+        replace(f, period_px=other_px) if f.period_px == period_px else f for f in stack.patterns
+    )
+    return replace(stack, patterns=patterns)
+
+
+@pytest.mark.parametrize("factor", [0.97, 0.99, 1.01, 1.04])
+def test_right_period_is_named_where_only_its_orders_tell(factor: float) -> None:
+    """One turn of the coarse fringes is in view: their phase cannot show the scale, and one pixel in ten disagrees."""
+    stack = stated_period(taken(4, (24.0, 1024.0)), 24.0, 24.0 * factor)
+    found = check(stack).wrong
+    (message,) = [f.message for f in found if f.name == "columns, agreement"]
+    named = re.search(r"period_px = ([\d.]+) instead of", message)
+    # The grid of 0.05 %.
+    assert named and float(named[1]) == pytest.approx(24.0, rel=1e-3)
 
 
 def test_exchanged_frames_of_three_steps_are_named() -> None:
