@@ -16,8 +16,9 @@ import tomli_w
 
 from fringebench.output_folder import locked, prepare
 from scenes import Calibration, Frame, Stack
+from scenes.acquisition.frames import UNIFORM
 from scenes.files.capture import Capture
-from scenes.files.capture_frames import FlatFrame, Fringes, GrayFrames
+from scenes.files.capture_frames import FlatFrame, Fringes, GrayFrames, Images, ModulatedFringes
 from scenes.rig.devices import Extrinsics, Pinhole
 from scenes.support.atomic_file import replacing
 from scenes.support.errors import FileError
@@ -54,6 +55,10 @@ def export(stack: Stack, folder: str | Path, projector: int | None = None) -> Pa
         )
     if stack.calibration is not None:
         stack.calibration.require_projectors("an exported capture")
+    if any(frame.camera for frame in stack.patterns):
+        raise FileError(
+            "the stack has frames of a second camera: a manifest is written for one camera's; give the stack itself"
+        )
     chosen = _chosen(stack, projector)
     index = projector or 0
     with locked(prepare(out)):
@@ -133,23 +138,25 @@ def _rig(calibration: Calibration, projector: int) -> dict[str, Any]:
     return dumped
 
 
-def _shown(patterns: list[Frame]) -> Iterator[Fringes | GrayFrames | FlatFrame]:
+def _shown(patterns: list[Frame]) -> Iterator[Images]:
     """The frames as a manifest describes them."""
 
     def same(frame: Frame) -> tuple[Any, ...]:
-        return frame.kind, frame.axis, frame.period_px, frame.steps
+        return frame.kind, frame.axis, frame.period_px, frame.steps, frame.carrier_px
 
     for (kind, *_), group in groupby(patterns, same):
         frames = list(group)
         first = frames[0]
-        if kind in ("white", "black"):
+        if kind in UNIFORM:
             yield from (FlatFrame.model_validate({"kind": kind}) for _ in frames)
         elif kind == "gray":
             yield _gray(frames)
-        elif kind != "fringe" or first.steps < 3:
+        elif kind == "modulated":
+            yield _modulated(frames)
+        elif kind != "fringe":
             raise FileError(
-                f"a manifest cannot describe {kind} frames of {first.steps} steps: export fringes of 3 or more steps and Gray "
-                "code, or give the stack itself"
+                f"a manifest is not written for {kind} frames: export fringes, fringes on a carrier and Gray code, or give the "
+                "stack itself"
             )
         elif len(frames) != first.steps:
             raise FileError(
@@ -168,6 +175,22 @@ def _fringes(frames: list[Frame]) -> Fringes:
     if np.allclose([frame.phase_shift_rad for frame in even.frames()], shifts, rtol=0, atol=1e-12):
         return even
     return Fringes.model_validate({**plain, "shifts_deg": [float(np.rad2deg(s)) for s in shifts]})
+
+
+def _modulated(frames: list[Frame]) -> ModulatedFringes:
+    first = frames[0]
+    shown = ModulatedFringes(
+        axis=first.axis,
+        period_px=first.period_px,
+        steps=first.steps,
+        carrier_px=first.carrier_px,
+        carrier_steps=len(frames) // first.steps,
+    )
+    if shown.frames() != frames:
+        raise FileError(
+            f"the {first.axis} fringes of {first.period_px:g} px on a carrier are in an order that a manifest cannot describe"
+        )
+    return shown
 
 
 def _gray(frames: list[Frame]) -> GrayFrames:

@@ -74,6 +74,20 @@ def test_gray_code_and_uneven_steps_read_back_the_same(tmp_path: Path) -> None:
     assert back.patterns[4:] == shown[4:]
 
 
+def test_codings_against_indirect_light_read_back_the_same(tmp_path: Path) -> None:
+    codings: tuple[scenes.UnevenSteps | scenes.ModulatedPhaseShift, ...] = (
+        scenes.UnevenSteps(periods_px=(14.57, 16.09, 16.24), steps=(3, 1, 1)),
+        scenes.UnevenSteps(periods_px=(14.0, 16.0), steps=(3, 2), axes=("row",)),
+        scenes.ModulatedPhaseShift(periods_px=(128.0, 1024.0), carrier_px=16.0, carrier_steps=4),
+    )
+    for k, coding in enumerate(codings):
+        shown = coding.frames()
+        counts = np.random.default_rng(1).integers(0, 200, (1, len(shown), 15, 20), np.uint16)
+        ours = replace(stack(), frames=counts, patterns=shown, exposure_ms=(1.0,))
+        back = Capture.load(export(ours, tmp_path / str(k))).stack()
+        assert back.patterns == shown
+
+
 def test_stack_that_png_or_manifest_cannot_hold_is_refused(tmp_path: Path) -> None:
     ours = stack()
     with pytest.raises(FileError, match="float32"):
@@ -81,6 +95,9 @@ def test_stack_that_png_or_manifest_cannot_hold_is_refused(tmp_path: Path) -> No
     with pytest.raises(FileError, match="complete fringe sets"):
         export(replace(ours, frames=ours.frames[:, 1:], patterns=ours.patterns[1:]), tmp_path)
     two = (*ours.patterns[:-4], *(replace(f, projector=1) for f in ours.patterns[-4:]))
+    pair = (*ours.patterns[:-4], *(replace(f, camera=1) for f in ours.patterns[-4:]))
+    with pytest.raises(FileError, match="second camera"):
+        export(replace(ours, patterns=pair), tmp_path)
     with pytest.raises(FileError, match="--projector"):
         export(replace(ours, patterns=two), tmp_path)
     assert not (tmp_path / "manifest.toml").exists()
