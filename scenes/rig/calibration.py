@@ -38,7 +38,7 @@ class Calibration(Frozen):
         return tuple(p for p in self.projectors if isinstance(p, Screen))
 
     def require_projectors(self, what: str) -> None:
-        """Raise `SceneError` for a rig with a screen; `what` needs projectors is for the message.
+        """Raise `SceneError` for a rig with a screen or two cameras; `what` needs projectors is for the message.
 
         >>> import scenes
         >>> scenes.load("step").calibration().require_projectors("a gate")
@@ -47,4 +47,8 @@ class Calibration(Frozen):
             raise SceneError(
                 f"{what} needs a projector, and the rig has a screen, which surfaces mirror: use a rig with projectors, or "
                 "render, expose, decode and evaluate"
+            )
+        if self.second_camera is not None:
+            raise SceneError(
+                f"{what} is for one camera, and the rig has a second_camera: leave it out, or use render, expose, decode and evaluate"
             )

@@ -133,6 +133,15 @@ def test_impossible_pairs_are_refused(change: dict[str, Any], said: str) -> None
         scenes.load("stereo", SMALL | change)
 
 
+def test_what_is_for_one_camera_refuses_a_pair(
+    tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for words in (("budget", "stereo"), ("regress", "decode:reconstruct", "--scene", "stereo")):
+        status, _, err = call(*words)
+        assert (status, "is for one camera" in err) == (2, True), words
+
+
 def test_dots_for_one_camera_are_refused() -> None:
     with pytest.raises(scenes.SceneError, match="need a second_camera"):
         scenes.load("cap", {"patterns": {"kind": "even"}})
