@@ -14,21 +14,21 @@ from fringebench.pages.strategy_table import best_strategies
 
 PAGE = Path(__file__).parent / "which-strategy.md"
 START, END = "<!-- table -->", "<!-- end of table -->"
+BREAK = " \\\n    --strat"
 LADDER = (
     "single,auto-exposure,max-modulation,masked-least-squares,censored-ml,inverted,complementary,2n-step,more-steps,"
     "unsaturated-steps,planned,clustered,intensity-ladder,adaptive-projection"
 )
 CODINGS = "n-step,heterodyne,gray-code,xor-gray-code,micro-phase-shift,modulated-phase-shift,embedded-phase-shift"
-SMALL = (
-    "--render-noise 0.3 --repeats 3 --budget cycle-time --set acquisition.overhead_ms=1.0 "
-    f"--set camera.resolution=[160,120] --strategies {LADDER}"
-)
+PROJECTORS = "one-projector,every-projector,max-modulation,planned,adaptive-projection"
+ROOM = "--render-noise 0.3 --repeats 3 --budget cycle-time --set acquisition.overhead_ms=1.0 --set camera.resolution=[160,120]"
+SMALL = f"{ROOM} --strategies {LADDER}"
 INDIRECT = f"--render-noise 0.3 --repeats 4 --budget equal-time --set sensor.psf=none --strategies {CODINGS}"
 RUNS = {
     "bench": f"bench {SMALL}",
     "ink-solder": f"ink-solder {SMALL}",
+    "spi-four": f"spi-four {ROOM} --strategies {PROJECTORS}",
     "interreflection": f"interreflection {INDIRECT}",
-    "translucent": f"translucent {INDIRECT}",
 }
 # Surface, run, region, strategy it is compared with.
 ROWS = (
@@ -38,6 +38,9 @@ ROWS = (
     ("solder balls among paint", "bench", "solder", "max-modulation"),
     ("black ink next to solder", "ink-solder", "ink", "max-modulation"),
     ("solder on ink", "ink-solder", "solder", "max-modulation"),
+    ("board, four projectors", "spi-four", "base", "one-projector"),
+    ("solder mask, four projectors", "spi-four", "mask", "one-projector"),
+    ("solder paste, four projectors", "spi-four", "paste", "one-projector"),
     ("metal groove, dim side", "interreflection", "left", "n-step"),
     ("metal groove, bright side", "interreflection", "right", "n-step"),
 )
@@ -79,5 +82,13 @@ def table(folder: Path) -> str:
 
 if __name__ == "__main__":
     text = PAGE.read_text("utf-8")
-    before, after = text.split(START)[0], text.split(END)[1]
-    PAGE.write_text(f"{before}{START}\n\n{table(Path(sys.argv[1]))}\n\n{END}{after}", "utf-8")
+    commands = "\n".join(
+        f"$ fringebench compare {run.replace(' --strat', BREAK)}" for run in RUNS.values()
+    )
+    for start, end, inside in (
+        (START, END, table(Path(sys.argv[1]))),
+        ("<!-- commands -->", "<!-- end of commands -->", f"```console\n{commands}\n```"),
+    ):
+        before, after = text.split(start)[0], text.split(end)[1]
+        text = f"{before}{start}\n\n{inside}\n\n{end}{after}"
+    PAGE.write_text(text, "utf-8")

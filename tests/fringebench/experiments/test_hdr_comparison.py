@@ -247,6 +247,8 @@ def test_command_prints_json_and_writes_figures(tmp_path: Path) -> None:
         for name in ("max-modulation", "single")
     ]
     for strategy in answer["strategies"]:
+        named = {"name", "budget", "frames", "exposure_ms", "cycle_ms", "regions"}
+        assert named <= strategy.keys()
         spent = {"equal-frames": strategy["frames"], "cycle-time": strategy["cycle_ms"]}
         allowed = answer["budgets"][strategy["budget"]]
         assert spent[strategy["budget"]] <= allowed * (1.0 + 1e-9)
