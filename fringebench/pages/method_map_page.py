@@ -6,9 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from rich.table import Table
 
-from evaluation.output.report import Headline, Paragraph, Picture, Report, Section
+from evaluation.output.report import Grid, Headline, Paragraph, Picture, Report, Section
 from fringebench.experiments.method_map import Cell, MethodMap
-from fringebench.pages.figure_tables import grid
 from fringebench.pages.score_tables import number
 
 # Below this coverage an error says nothing.
@@ -63,6 +62,8 @@ def map_report(found: MethodMap, spent: Mapping[str, float]) -> Report:
     """The page."""
     weak = [cell for cell in found.cells if cell.coverage - cell.wrong < 0.5]
     columns, rows = found.resolution
+    methods, lines = map_rows(found)
+    cells = [[cell.replace("\n", ", ") for cell in line] for line in lines]
     return Report(
         "fringebench: methods by surface",
         f"{columns} × {rows} pixels, {sum(spent.values()):.0f} s.",
@@ -76,7 +77,7 @@ def map_report(found: MethodMap, spent: Mapping[str, float]) -> Report:
                         wide=True,
                     ),
                     Paragraph(GUIDE),
-                    grid(map_table(found), words=True),
+                    Grid(["surface", *methods], cells, words=True),
                 ],
             )
         ],

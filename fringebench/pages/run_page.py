@@ -71,7 +71,7 @@ def run_report(run: Run, spent: Mapping[str, float]) -> Report:
                 [
                     Picture(
                         scene_picture(stack, truth),
-                        "The scene under even light, on a logarithmic scale, with its labels.",
+                        "The mean of the first camera's frames, on a logarithmic scale, with its labels.",
                     ),
                     Picture(
                         frames_picture(stack),
