@@ -26,7 +26,8 @@ Part = tuple[tuple[int, int], Floats, Floats]
 MAX_PIXELS = 40_000
 # Fringes along a part of the image, parts at most each way, and pixels of one that are few for its unknowns.
 TURNS, MOST_PARTS, FEWEST_PIXELS = 1.4, (16, 8), 40
-FEWEST_PARTS = 5
+# Where fewer parts of an exposure show fringes, what they have in common may be of the surface.
+FEWEST_PARTS = 12
 # Neighbouring parts see the same surface: their scatter is taken between groups of them, so many each way.
 GROUPS = 6
 # Smallest share of the variance of ``cos phi`` and ``sin phi`` that place and contrast may leave.

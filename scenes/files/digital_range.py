@@ -215,10 +215,13 @@ def noise_dn(
     every = max(1, frames.shape[1] // 6)
     planes = [f for f in frames.reshape(-1, *frames.shape[2:])[::every] if min(f.shape) >= 3]
     rough = [s for f in planes if (s := _roughness(f, saturation_dn)) is not None]
-    # Texture adds to the one, gamma and flicker to the other: the smaller is nearer.
-    sigmas = [
-        float(np.median(s)) for s in (rough, list(_misfits(frames, patterns, saturation_dn))) if s
-    ]
+    # Texture adds to the first, gamma and flicker to the second, narrow stripes to the third: the smallest is nearest.
+    found = (
+        rough,
+        list(_misfits(frames, patterns, saturation_dn)),
+        list(_untextured(frames[:, ::every], saturation_dn)),
+    )
+    sigmas = [float(np.median(s)) for s in found if s]
     return float(max(min(sigmas, default=0.0), step_dn * np.sqrt(1.0 / 12.0)))
 
 
@@ -241,6 +244,28 @@ def _misfits(
             samples = samples[:, level >= _bright(level)]
             left = samples - fringe_design(shifts) @ (solution @ samples)
             yield float(np.sqrt((left**2).sum(axis=0).mean() / (len(members) - 3)))
+
+
+def _untextured(frames: NDArray[Any], saturation_dn: float) -> Iterator[float]:
+    """Noise in DN of each exposure from what roughness is not shared by all frames in proportion to their light, as texture is."""
+    for exposure in frames:
+        if len(exposure) < 4 or min(exposure.shape[1:]) < 3:
+            continue
+        planes = [plane.astype(np.float32) for plane in exposure]
+        rough = np.stack([np.diff(np.diff(p, 2, axis=0), 2, axis=1) for p in planes])
+        light = np.stack([cv2.blur(p, (5, 5))[1:-1, 1:-1] for p in planes])
+        free = np.stack([cv2.dilate(p, np.ones((3, 3)))[1:-1, 1:-1] for p in planes]).max(axis=0)
+        free = free < saturation_dn
+        shared = (rough * light).sum(axis=0) / np.maximum((light**2).sum(axis=0), 1e-6)
+        left = np.abs(rough - shared * light)[:, free]
+        # Where all that the weights reach is lit.
+        level = cv2.erode(np.mean(planes, axis=0), np.ones((3, 3)))[1:-1, 1:-1][free]
+        if level.size < FEWEST_PIXELS:
+            continue
+        seen = left[:, level >= _bright(level)].ravel()
+        kept = np.sort(seen)[: max(1, int(0.9 * seen.size))]
+        share = np.sqrt(1.0 - 1.0 / len(planes))
+        yield float(kept.mean()) / (6.0 * TRIMMED_MEAN * share)
 
 
 def _bright(levels: NDArray[Any]) -> float:
