@@ -128,6 +128,7 @@ def planned(shoot: Shoot, reference: Reference, budget: LightBudget) -> PlannedC
     octaves = np.log2(longest / min(reference.times_ms))
     tops = longest * 2.0 ** -np.arange(0.0, octaves + 0.5 / TOPS_PER_OCTAVE, 1.0 / TOPS_PER_OCTAVE)
     best: tuple[float, Shot] | None = None
+    tried: set[tuple[float, ...]] = set()
     refused: ScoreError | None = None
     for top, count, ratio in product(tops, COUNTS, RATIOS):
         if count == 1 and ratio != RATIOS[0]:
@@ -136,8 +137,13 @@ def planned(shoot: Shoot, reference: Reference, budget: LightBudget) -> PlannedC
         try:
             shot = reference.filled(budget, Shot(reference.patterns, times), look.shot)
         except ScoreError as error:
-            refused = error
+            refused = refused or error
             continue
+        # Series too long for the budget are shortened, often to one and the same.
+        key = tuple(np.round(np.log(shot.times_ms), 6))
+        if key in tried:
+            continue
+        tried.add(key)
         error_rad = look.error_rad(shot)
         if best is None or error_rad < best[0]:
             best = error_rad, shot

@@ -45,7 +45,7 @@ REFERENCE = Reference(
 )
 
 
-@pytest.mark.parametrize("plan", [planned, clustered])
+@pytest.mark.parametrize("plan", [pytest.param(planned, marks=pytest.mark.slow), clustered])
 def test_plans_keep_budgets_and_pay_for_their_look(plan: CapturePlan) -> None:
     for budget in BUDGETS:
         got = plan(two_surfaces(), REFERENCE, budget)
