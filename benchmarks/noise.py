@@ -61,7 +61,8 @@ def measure(quick: bool) -> list[Result]:
 def _case(case: Case, quick: bool) -> list[Result]:
     size = scenes.load(case.scene).camera.resolution
     noise_wanted = case.render_noise * (4.0 if quick else 1.0)
-    changes: dict[str, object] = {"sampling.render_noise": noise_wanted}
+    # Noise is compared in front of the lens, so it must be planned there.
+    changes: dict[str, object] = {"sampling.render_noise": noise_wanted, "sensor.psf": "none"}
     if quick:
         changes["camera.resolution"] = [n // 4 for n in size]
     if case.labels:

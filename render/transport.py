@@ -1,7 +1,7 @@
 """Linear light: what each camera pixel returns of each basis channel."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
@@ -63,6 +63,9 @@ class RenderNoise:
     None: there is none."""
     paths: int
     """Light paths of all pixels."""
+    cut: Mapping[str, float] = field(default_factory=dict)
+    """Label -> root mean square of the phase of light beyond `depth`, which is not in the result, over that of the sensor's
+    noise: an estimate from the pilot. Empty for direct light alone, and for depths that cut nothing (from 8)."""
 
     @property
     def met(self) -> bool:
@@ -348,4 +351,5 @@ def _render_noise(stored: dict[str, Any] | None) -> RenderNoise | None:
         str(label): None if ratio is None else float(ratio)
         for label, ratio in stored["reached"].items()
     }
-    return RenderNoise(float(stored["target"]), reached, int(stored["paths"]))
+    cut = {str(label): float(ratio) for label, ratio in stored.get("cut", {}).items()}
+    return RenderNoise(float(stored["target"]), reached, int(stored["paths"]), cut)

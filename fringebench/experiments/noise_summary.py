@@ -44,7 +44,10 @@ def describe(light: Mapping[str, Any]) -> str:
 
 def _describe_ratio(light: Mapping[str, Any]) -> str:
     known = [ratio for ratio in light["reached"].values() if ratio is not None]
+    cut = max(light.get("cut", {}).values(), default=None)
     work = f"{light['samples']} light paths per pixel"
+    if cut is not None:
+        work = f"light beyond sampling.depth: {cut:.1g}; {work}"
     if not known:
         return f"render noise: no label has a pixel that can be measured ({work})"
     limit = "within" if light["met"] else "more than"

@@ -8,7 +8,7 @@ how many more blocks the other gets. What decides is never averaged with what it
 """
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -32,9 +32,10 @@ from render.pathtracer.block_light import (
     scatter_about_direct,
     trace_blocks,
 )
+from render.pathtracer.cut_light import cut_to_sensor_noise
 from render.pathtracer.one_pass import check, require_finite, set_up
 from render.pathtracer.path_budget import PILOT_PATHS, Pilot, blocks_needed, pilot_blocks
-from render.pathtracer.path_kernel import Pass
+from render.pathtracer.path_kernel import DEEPEST_CUT, Pass
 from render.pathtracer.pixel_centres import label_map, lit
 from render.pathtracer.tile_survey import Tiles
 from render.plugins.shared_surfaces import Surfaces, shared
@@ -166,6 +167,12 @@ def _traced(
     quick = light(first, seed ^ PILOT_STREAM, done(0.0, PILOT_SHARE), direct=True)
     rough = transport(quick, first.total_paths)
     pilot, sensor = _pilot(rough, scatter_about_direct(quick, first.number), lit_px)
+    # Direct light alone is a choice; deeper paths end by chance, which cuts nothing.
+    cut: Mapping[int, float] = {}
+    if 1 < pass_.depth < DEEPEST_CUT:
+        deep = replace(pass_, depth=DEEPEST_CUT)
+        again = trace_blocks(deep, width, first, channels, fringes, seed ^ PILOT_STREAM)
+        cut = cut_to_sensor_noise(quick, again, first, pilot, sensor)
     del quick
     blocks, asked_by = blocks_needed(pilot, targets, most, indirect, pass_.lens)
     blocks = blocks.halved()
@@ -178,9 +185,8 @@ def _traced(
         chosen(on_chip(_with_noise(rough, [part[..., half] for part in noise])), sensor) ** 2
         for half in (0, 1)
     ]
-    excess = _excess(halves, pilot, targets)
     del rough
-    entry, more = _more(blocks, asked_by, excess, most)
+    entry, more = _more(blocks, asked_by, _excess(halves, pilot, targets), most)
     if entry.size:
         extra = blocks.more(entry, more)
         new = light(extra, seed, None)
@@ -191,7 +197,10 @@ def _traced(
     result = _with_noise(transport(final, paths), noise)
     ratios = render_to_sensor_noise(result, lit_px)
     reached = RenderNoise(
-        target, {scene.labels[n - 1]: ratios.get(scene.labels[n - 1]) for n in targets}, paths
+        target,
+        {scene.labels[n - 1]: ratios.get(scene.labels[n - 1]) for n in targets},
+        paths,
+        {scene.labels[n - 1]: ratio for n, ratio in cut.items() if n in targets},
     )
     if not reached.met:
         warnings.warn(_unmet(reached, most), FringebenchWarning, stacklevel=4)
@@ -257,9 +266,8 @@ def _pilot(
             np.tensordot(white, transport.total[p, channels] - transport.direct[p, channels], 1)
         )
 
-    def pick(images: NDArray[Any]) -> NDArray[Any]:
-        picked: NDArray[Any] = np.take_along_axis(images, sensor.projector[None], axis=0)[0]
-        return picked
+    def pick(images: list[NDArray[Any]]) -> NDArray[Any]:
+        return np.asarray(np.take_along_axis(np.stack(images), sensor.projector[None], axis=0)[0])
 
     direct, later = (
         np.stack([chosen(way.reshape(*way.shape[:2], *shape), sensor) for way in part])
@@ -267,7 +275,7 @@ def _pilot(
     )
     counted = lit & np.isfinite(sensor.phase_rad) & np.isfinite(direct[0] + later[0])
     kernel = spread_kernel(transport.scene.sensor)
-    sharp: NDArray[np.complex128] = pick(np.stack(phasor))
+    sharp: NDArray[np.complex128] = pick(phasor)
     pilot = Pilot(
         transport.label,
         counted & np.isfinite(strict.phase_rad),
@@ -275,7 +283,7 @@ def _pilot(
         sharp,
         sharp if kernel is None else through(sharp, kernel),
         kernel,
-        pick(np.stack(indirect)).astype(np.float64),
+        pick(indirect).astype(np.float64),
         sensor.phase_rad,
         later * PILOT_PATHS,
         direct,

@@ -9,7 +9,10 @@ from scipy import stats
 
 import render
 import scenes
+from render.light_noise import SensorNoise
 from render.pathtracer import block_light
+from render.pathtracer.block_light import BlockLight, Blocks
+from render.pathtracer.cut_light import cut_to_sensor_noise
 from render.pathtracer.path_budget import AIMED, PILOT_PLACES, Pilot, blocks_needed
 from scenes.support.errors import RenderError, SceneError
 from tests.render import rigs
@@ -79,6 +82,53 @@ def test_every_label_reaches_the_share_asked_for() -> None:
     assert all(
         ratio is not None and ratio <= 0.525 for ratio in light.render_noise.reached.values()
     )
+
+
+def test_cut_light_is_the_mean_turn_of_phase_and_not_its_noise() -> None:
+    # 800 pixels, 4 blocks each: what is cut turns phases by 0.1 rad in the left half; its noise of 0.3 rad is everywhere.
+    shape, number = (20, 40), 4
+    rng = np.random.default_rng(1)
+    left = np.arange(40) < 20
+    every = np.ones(shape, np.bool_)
+    z = np.exp(1j * rng.uniform(0.0, 6.0, 800))
+    turn = np.repeat((left * np.full(shape, 0.1)).ravel(), number) + rng.normal(0.0, 0.3, 3200)
+    none = np.empty(0, np.float32)
+    quick, deep = (
+        BlockLight(
+            none, none, none, (np.repeat(z, number) * factor).astype(np.complex64)[None, None, None]
+        )
+        for factor in (np.ones(3200), 1.0 + 1j * turn)
+    )
+    count = np.full(800, number, np.uint32)
+    own = z.reshape(shape)
+    label = np.where(left, 1, 2) * np.ones(shape, np.uint16)
+    pilot = Pilot(
+        label.astype(np.uint16), every, every, own, own, None, np.zeros(shape), np.full(shape, 0.2),
+        np.zeros((2, *shape)), np.zeros((2, *shape)),
+    )  # fmt: skip
+    sensor = SensorNoise(pilot.sensor_rad, np.zeros(shape, np.intp), (0,))
+    found = cut_to_sensor_noise(
+        quick, deep, Blocks(count, count, count, count, count), pilot, sensor
+    )
+    # A product of two blocks has a noise of 0.3^2, of which there are 6 in each of 400 pixels: 0.002 of 0.01.
+    assert found[1] == pytest.approx(0.1 / 0.2, rel=0.3)
+    assert found[2] < 0.25
+
+
+def test_what_is_cut_is_kept_in_the_file_and_nothing_is_where_paths_end_by_chance(
+    tmp_path: Path,
+) -> None:
+    shallow, whole = (
+        render.trace(scenes.load("step", {**SMALL, "sampling.depth": depth}), render_noise=2.0)
+        for depth in (2, 64)
+    )
+    assert shallow.render_noise is not None
+    assert whole.render_noise is not None
+    assert set(shallow.render_noise.cut) == {"base", "step"}
+    assert whole.render_noise.cut == {}
+    shallow.write(tmp_path / "transport.exr")
+    kept = render.Transport.read(tmp_path / "transport.exr").render_noise
+    assert kept == shallow.render_noise
 
 
 def test_labels_not_asked_for_get_few_paths() -> None:
