@@ -37,7 +37,7 @@ MAP = "methods"
 MAP_LEAD = """\
 No method measures every surface. This is `fringebench methods`: fringe projection, [stereo](stereo.md) by phase, with dots and by the
 surface's own texture, and [deflectometry](deflectometry.md), all with one camera of 200 × 150 pixels at 300 mm, three exposures, seed 0. No
-object has a printed texture, so passive stereo finds none but on grains. A clear body is measured by none: its light comes from
+object has a printed texture, so passive stereo finds little to match, except on grains. A clear body is measured by none: its light comes from
 the bottom, and few of the heights are rejected. What is wrong in a tenth of the pixels of `step` are its edges."""
 WEBP_QUALITY = 80
 

@@ -200,7 +200,8 @@ def budget(
     Examples
     --------
     >>> import fringebench as fb
-    >>> scene = fb.load("step", {"camera.resolution": [48, 36], "sampling.samples": 4, "sampling.depth": 1})
+    >>> coarse = {"camera.resolution": [48, 36], "patterns.periods_px": [128.0, 1024.0]}
+    >>> scene = fb.load("step", coarse | {"sampling.samples": 4, "sampling.depth": 1})
     >>> found = fb.budget(scene, repeats=2)
     >>> found.regions["base"].causes["noise"].alone_mm2 > 0
     True
