@@ -93,4 +93,4 @@ def wait_until(page: Any, holds: Callable[[], bool]) -> None:
         if holds():
             return
         page.wait_for_timeout(200)
-    raise AssertionError(f"nothing came of it in {PATIENCE_MS / 1000:.0f} s")
+    raise AssertionError(f"still not so after {PATIENCE_MS / 1000:.0f} s")

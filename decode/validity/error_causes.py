@@ -49,7 +49,7 @@ SAMPLE = 16384
 
 @dataclass(frozen=True)
 class Signs:
-    """What the fringes show beside heights; images are (row, col)."""
+    """What the fringes show besides heights; images are (row, col)."""
 
     periods_px: tuple[float, ...]
     """Coarsest first."""
@@ -86,8 +86,8 @@ def by_cause(rec: Reconstruction, signs: Signs) -> tuple[Reconstruction, float]:
     scale = np.where(valid, np.nan_to_num(signs.mm_per_rad), np.float32(0.0))
     frequency = _frequency(rec, signs.periods_px[-1]) if signs.periods_px else nothing
     unlit = np.isin(rec.reason, (Reason.SHADOW, Reason.DARK)).astype(np.uint8)
-    beside = cv2.dilate(unlit, np.ones((3, 3), np.uint8)) > 0
-    mixed = np.where(beside, np.maximum(mixed, PARTLY_LIT * TURN * frequency * scale), mixed)
+    next_to_unlit = cv2.dilate(unlit, np.ones((3, 3), np.uint8)) > 0
+    mixed = np.where(next_to_unlit, np.maximum(mixed, PARTLY_LIT * TURN * frequency * scale), mixed)
     loss, lost = _loss(signs, frequency, smooth, valid)
     stray = PER_LOSS * scale * loss / (1.0 - loss)
     reason = rec.reason.copy()

@@ -29,7 +29,7 @@ def page(tab: Any, report: Path) -> Any:
 def drawn_surface(page: Any) -> Any:
     surface = page.locator(".surface")
     surface.scroll_into_view_if_needed()
-    page.wait_for_selector(".surface canvas")
+    page.wait_for_selector(".surface.drawn canvas")
     page.until(lambda: at_rest(page, surface))
     return surface
 
