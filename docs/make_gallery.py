@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 import scenes
 from evaluation.output.sheet import Panel, contact_sheet
 from fringebench import methods
-from fringebench.experiments.method_map import Cell, MethodMap
+from fringebench.experiments.surface_methods import Cell, MethodMap
 from fringebench.experiments.whole_run import Run, run
 from fringebench.pages.method_map_page import GUIDE, map_figure, map_rows
 from fringebench.progress import Steps

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from fringebench.pages.strategy_table import best_strategies
+from fringebench.pages.surface_strategies import best_strategies
 
 PAGE = Path(__file__).parent / "which-strategy.md"
 START, END = "<!-- table -->", "<!-- end of table -->"

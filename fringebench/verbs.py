@@ -13,7 +13,7 @@ from evaluation.hdr.comparison import StrategyComparison
 from evaluation.hdr.light_budget import BUDGETS, LightBudget
 from evaluation.scoring.error_budget import ErrorBudget
 from fringebench.datasets.making import dataset
-from fringebench.experiments import cause_budget, hdr_comparison, method_map, whole_run
+from fringebench.experiments import cause_budget, hdr_comparison, surface_methods, whole_run
 from fringebench.experiments.acceptance import accept
 from fringebench.experiments.hdr_comparison import outside_strategy
 from fringebench.gate.decoders import resolve
@@ -228,7 +228,7 @@ def methods(
     samples: int = 32,
     seed: int = 0,
     steps: Steps | None = None,
-) -> method_map.MethodMap:
+) -> surface_methods.MethodMap:
     """Measure surfaces by several methods with one camera: how much of each is measured, how well, and why not.
 
     Parameters
@@ -267,7 +267,7 @@ def methods(
     """
     out = None if folder is None else prepare(folder)
     steps = steps or Steps()
-    found = method_map.method_map(methods, surfaces, resolution, samples, seed, steps)
+    found = surface_methods.method_map(methods, surfaces, resolution, samples, seed, steps)
     if out is not None:
         from evaluation.output.plots import save
         from fringebench.pages.method_map_page import map_figure, map_report

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from render.chip_image import Image
 from render.exposure_time import exposure_times_ms
+from render.laser_speckle import speckled
 from render.motion import conveyed, height_slope
 from render.pattern_span import channel_weights, plane_weights
 from render.sensor_stages import Floats, LineNoise, Noise, digital_numbers, fixed_pattern
-from render.speckle import speckled
 from render.transport import Transport
 from render.unsteady_light import STEADY, Moment, is_steady, moment
 from scenes.acquisition.patterns import Patterns

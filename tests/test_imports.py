@@ -1,5 +1,6 @@
-"""The packages have no import circle, and folders of few modules."""
+"""The packages have no import circle, folders of few modules, and no module with a name of two meanings."""
 
+import ast
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -21,3 +22,18 @@ def test_no_folder_holds_more_than_14_modules() -> None:
         for folder in (ROOT / room, *(path for path in (ROOT / room).rglob("*") if path.is_dir())):
             modules = [path.stem for path in folder.glob("*.py") if path.stem != "__init__"]
             assert len(modules) <= 14, folder
+
+
+def test_no_module_has_the_name_of_a_function_or_an_imported_package() -> None:
+    # A module with the name of its function hides behind it, and importing both needs an alias.
+    files = [path for room in ROOMS for path in (ROOT / room).rglob("*.py")]
+    trees = [ast.parse(path.read_text("utf-8")) for path in files]
+    functions = {n.name for tree in trees for n in tree.body if isinstance(n, ast.FunctionDef)}
+    packages = set()
+    for node in (node for tree in trees for node in ast.walk(tree)):
+        if isinstance(node, ast.Import):
+            packages |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            packages.add(node.module.partition(".")[0])
+    modules = {path.parent.name if path.stem == "__init__" else path.stem for path in files}
+    assert not modules & (functions | packages) - set(ROOMS)

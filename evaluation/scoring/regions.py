@@ -18,7 +18,7 @@ from decode import Reconstruction
 from evaluation.scoring.disparity import DisparityScore, disparity_scores
 from evaluation.scoring.feature_fits import Feature, features
 from evaluation.scoring.identity import differing_parts, other_unit
-from evaluation.scoring.slope_scores import SlopeScore, slope_scores
+from evaluation.scoring.slope_errors import SlopeScore, slope_scores
 from scenes.files.truth_maps import Truth
 from scenes.support.atomic_file import replacing
 from scenes.support.errors import FringebenchWarning, ScoreError

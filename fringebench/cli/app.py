@@ -19,7 +19,7 @@ from fringebench.cli.commands import (
     gate,
     hdr,
     inspection,
-    methods,
+    method_grid,
     rigs,
     stages,
     viewing,
@@ -83,7 +83,7 @@ def _options(
     """Render structured-light scenes, decode them, and score the heights against the rendered mesh."""
 
 
-for part in (stages, hdr, methods, gate, datasets, inspection, captures, rigs, viewing):
+for part in (stages, hdr, method_grid, gate, datasets, inspection, captures, rigs, viewing):
     app.add_typer(part.app)
 
 

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from evaluation.output.report import Grid, Headline, Paragraph, Picture, Report, Section
-from fringebench.experiments.method_map import Cell, MethodMap
+from fringebench.experiments.surface_methods import Cell, MethodMap
 from fringebench.pages.score_tables import number
 
 # Below this coverage an error says nothing.

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 import render
-from render.speckle import speckle
+from render.laser_speckle import speckle
 from render.unsteady_light import moment
 from scenes import Scene
 from scenes.acquisition.sensor import Emva, SimpleSensor

@@ -127,7 +127,7 @@ def strategies_by_surface(
     import scenes
     from evaluation.hdr.light_budget import known_budgets
     from fringebench import verbs
-    from fringebench.pages.strategy_table import best_strategies, strategy_table, surfaces
+    from fringebench.pages.surface_strategies import best_strategies, strategy_table, surfaces
 
     (equal,) = known_budgets([budget])
     steps = progress_steps(progress)

@@ -89,7 +89,7 @@ def read_area(path: Path, box: Bounds, mirrored: bool = False) -> Area:
         area = painted([(item.shape(), item.dark) for item in near])
         frame = shapely.box(*window)
         area = frame.difference(area) if image.negative else area.intersection(frame)
-        return shapely.transform(area, mirror) if mirrored else area
+        return shapely.transform(area, flipped) if mirrored else area
 
 
 def painted(pieces: Sequence[tuple[Area, bool]]) -> Area:
@@ -106,7 +106,7 @@ def painted(pieces: Sequence[tuple[Area, bool]]) -> Area:
     return area
 
 
-def mirror(xy: NDArray[np.float64]) -> NDArray[np.float64]:
+def flipped(xy: NDArray[np.float64]) -> NDArray[np.float64]:
     """Points seen from below."""
     return np.column_stack([-xy[:, 0], xy[:, 1]])
 
@@ -138,7 +138,7 @@ def _openings(
                     place = flashed
                     break
             if mirrored:
-                yield (-place[0], place[1]), shapely.transform(part, mirror)
+                yield (-place[0], place[1]), shapely.transform(part, flipped)
             else:
                 yield place, part
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from scenes.board.gerber.interpreter import read
-from scenes.board.gerber.openings import drawable, mirror
+from scenes.board.gerber.openings import drawable, flipped
 from scenes.board.pad_layout import Area
 from scenes.support.errors import FileError
 
@@ -53,7 +53,7 @@ def read_outline(path: Path, mirrored: bool = False) -> Area:
             shapely.LineString(points) for points in paths if len(np.unique(points, axis=0)) > 1
         ]
         if mirrored:
-            lines = [shapely.transform(line, mirror) for line in lines]
+            lines = [shapely.transform(line, flipped) for line in lines]
         return _enclosed(lines, path)
 
 

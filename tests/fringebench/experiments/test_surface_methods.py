@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import fringebench as fb
-from fringebench.experiments.method_map import METHODS, SURFACES, Cell, MethodMap
+from fringebench.experiments.surface_methods import METHODS, SURFACES, Cell, MethodMap
 from fringebench.pages.method_map_page import map_rows
 from scenes.support.errors import ScoreError
 

@@ -4,7 +4,7 @@ import json
 from collections.abc import Callable
 from typing import Any
 
-from fringebench.pages.strategy_table import best_strategies, strategy_table
+from fringebench.pages.surface_strategies import best_strategies, strategy_table
 
 
 def entry(name: str, median_um: float | None, coverage: float, half_width_um: float = 0.1) -> Any:
