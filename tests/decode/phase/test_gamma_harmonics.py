@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from decode.checks.stack_check import _misfit
+from decode.checks.fringe_check import misfit
 from decode.phase.gamma import Harmonics, _from_histogram, harmonics, response
 from decode.phase.n_step import fringe_sets
 from scenes.acquisition.patterns import PhaseShift
@@ -45,8 +45,8 @@ def test_error_of_the_phases_histogram_is_that_of_a_complex_mean() -> None:
 def test_misfit_is_what_noise_and_gamma_do_not_explain() -> None:
     """Variances add: 0.7^2 = 0.2^2 + 0.3^2 + 0.6^2."""
     seen = Harmonics(0.0, 0.0, 1.0, 0.7, 0.2, 0.3)
-    assert _misfit(seen) == pytest.approx(0.6)
-    assert _misfit(Harmonics(0.0, 0.0, 1.0, 0.1, 0.2, 0.3)) == 0.0
+    assert misfit(seen) == pytest.approx(0.6)
+    assert misfit(Harmonics(0.0, 0.0, 1.0, 0.1, 0.2, 0.3)) == 0.0
 
 
 @pytest.mark.parametrize(
