@@ -83,6 +83,8 @@ class Reconstruction(Displayed):
     """How it was decoded, in JSON's types; "resolved" holds what was chosen where the options left it open."""
     scene: str = ""
     """TOML of the scene that the stack was made from; empty for real captures."""
+    identity: exr.Identity = field(default_factory=dict)
+    """Digests of the scene and rig that the stack was made from, see `scenes.identity`; empty: not known."""
     slope: Image | None = None
     """(2, row, col) slopes dz/dx and dz/dy of the surface in the world, measured by deflectometry; None: not measured."""
     slope_sigma: Image | None = None
@@ -259,6 +261,7 @@ class Reconstruction(Displayed):
             "calibration": self.calibration and self.calibration.model_dump(mode="json"),
             "settings": dict(self.settings),
             "scene": self.scene,
+            "identity": dict(self.identity),
         }
         exr.write(path, KIND, channels, meta)
 
@@ -301,6 +304,7 @@ class Reconstruction(Displayed):
                 settings=dict(meta["settings"]),
                 # Files of version 0.1 do not name their scene.
                 scene=str(meta.get("scene", "")),
+                identity=exr.identity_of(meta),
                 slope=_pair(channels, "slope"),
                 slope_sigma=_pair(channels, "slope_sigma"),
             )

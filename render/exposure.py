@@ -193,6 +193,7 @@ def expose(
         scene.calibration(),
         dumps(scene),
         int(seed) if noise else None,
+        identity=transport.identity,
     )
 
 

@@ -22,6 +22,7 @@ from render.plugins.variant import mi, use
 from render.transport import Transport
 from scenes.acquisition.patterns import PhaseShift
 from scenes.files.truth_maps import Truth
+from scenes.identity import PARTS, identity
 from scenes.rig.projection import Projection
 from scenes.rig.projectors import Screen
 from scenes.scene import Scene
@@ -93,7 +94,7 @@ def truth(
     surfaces = shared(scene, surfaces)
     if transport is None:
         transport = trace(_white(scene), samples=SAMPLES, surfaces=surfaces)
-    elif not _same_light(scene, transport.scene):
+    elif not _same_light(scene, transport):
         raise RenderError(
             "the transport was traced from another scene (its camera, projectors or objects differ): "
             "trace this scene, or give no transport"
@@ -165,6 +166,7 @@ def _truth(scene: Scene, surface: "_Surface", camera: Projection, transport: Tra
         material.reshape(shape),
         surface.materials,
         None if scene.screens else height_noise_mm(transport, px_per_mm.reshape(2, -1, *shape)),
+        identity(scene),
     )
 
 
@@ -353,6 +355,7 @@ def _white(scene: Scene) -> Scene:
     return scene.model_copy(update={"projectors": tuple(linear), "patterns": wide})
 
 
-def _same_light(scene: Scene, other: Scene) -> bool:
-    keys = ("camera", "second_camera", "projectors", "objects", "board", "materials")
-    return all(getattr(scene, key) == getattr(other, key) for key in keys)
+def _same_light(scene: Scene, transport: Transport) -> bool:
+    """Whether a transport is of this scene, whose mesh files may have changed since."""
+    same = all(getattr(scene, part) == getattr(transport.scene, part) for part in PARTS)
+    return same and (not transport.identity or transport.identity == identity(scene))

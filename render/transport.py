@@ -113,6 +113,8 @@ class Transport(Displayed):
     amplitude_noise: NDArray[np.float32] | None = None
     """Of the shape of `noise_rad`: standard deviation of that fringe's modulation from light paths alone, W/(m^2 sr). Behind a lens
     it disturbs the phase of neighbours. None: not known."""
+    identity: exr.Identity = field(default_factory=dict)
+    """Digests of what was traced, see `scenes.identity`; empty: not known."""
 
     @property
     def render_noise_rad(self) -> NDArray[np.float32] | None:
@@ -196,6 +198,7 @@ class Transport(Displayed):
                 for basis in self.bases
             ],
             "scene": dumps(self.scene),
+            "identity": dict(self.identity),
             "seed": self.seed,
             "samples": self.samples,
             "depth": self.depth,
@@ -238,6 +241,7 @@ class Transport(Displayed):
                     for stored in meta["bases"]
                 )
                 scene = parse(str(meta["scene"]), where=str(path))
+                identity = exr.identity_of(meta)
                 limits = (
                     _phase_error(meta.get("phase_error")),
                     _render_noise(meta.get("render_noise")),
@@ -264,6 +268,7 @@ class Transport(Displayed):
                         None if prefix else limits[1],
                         second,
                         noise[1],
+                        identity,
                     )
 
                 pair = scene.second_camera is not None

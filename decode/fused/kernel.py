@@ -96,6 +96,7 @@ class Kernel:
             phases=phases,
             calibration=plan.stack.calibration,
             scene=plan.stack.scene,
+            identity=plan.stack.identity,
             settings=plan.options.summary()
             | {"unwrap": plan.measuring.way, "resolved": plan.resolved()},
             **images,

@@ -84,6 +84,7 @@ def match(
         exposure=pictures[0].exposure,
         settings=options.summary() | {"height": "stereo", "matcher": options.matcher or "sgbm"},
         scene=left.scene,
+        identity=left.identity,
     )
     if not found.valid.any():
         shares = ", ".join(f"{n} {s:.1%}" for n, s in found.reason_fractions().items() if n != "ok")

@@ -1,18 +1,14 @@
 """Whether a reconstruction and a truth belong together: the same scene and rig, the same unit."""
 
-import json
-from typing import Any
+import warnings
 
 import numpy as np
 from numpy.typing import NDArray
 
 from decode import Reconstruction
 from scenes.files.truth_maps import Truth
-from scenes.support.errors import ScoreError
-from scenes.support.safe_parse import parse_toml
+from scenes.support.errors import FringebenchWarning, ScoreError
 
-# Parts of a scene that the truth depends on; patterns, sensor, exposures and light paths may differ.
-PARTS = ("camera", "second_camera", "projectors", "objects", "board", "materials")
 # Unit that heights may be in by mistake -> its size in mm.
 UNITS_MM = {"metres": 1000.0, "inches": 25.4, "micrometres": 0.001}
 # Heights above this share of the highest show the unit; those near zero look the same in every unit.
@@ -21,14 +17,39 @@ MINIMUM_PIXELS = 30
 UNIT_TOLERANCE = 0.1
 
 
-def differing_parts(rec: Reconstruction, truth: Truth) -> tuple[str, ...]:
-    """Some of ``camera projectors objects board materials`` in which the scenes of both differ; empty also if one does
-    not know its scene.
+def differing_parts(rec: Reconstruction, truth: Truth) -> dict[str, tuple[str, str]]:
+    """Parts of scene and rig in which both differ: part -> digests of the reconstruction's and of the truth's.
+
+    ``camera second_camera projectors objects board materials``; empty also if one of the two does not know its digests.
     """
-    if not rec.scene or not truth.scene or rec.scene == truth.scene:
-        return ()
-    measured, true = _tree(rec.scene, "reconstruction"), _tree(truth.scene, "truth")
-    return tuple(part for part in PARTS if _text(measured, part) != _text(true, part))
+    return {
+        part: (digest, truth.identity[part])
+        for part, digest in rec.identity.items()
+        if truth.identity.get(part, digest) != digest
+    }
+
+
+def require_same_scene(rec: Reconstruction, truth: Truth, force: bool) -> tuple[str, ...]:
+    """The parts that differ, where that was forced; raises `ScoreError` for them otherwise.
+
+    Warns if a file that names its scene is of a version that kept no digests, so that nothing was compared.
+    """
+    differing = differing_parts(rec, truth)
+    if differing and not force:
+        parts = ", ".join(f"{part} ({a}, {b})" for part, (a, b) in differing.items())
+        raise ScoreError(
+            f"the reconstruction and the truth are of different scenes: they differ in {parts} (digests of the two); give the "
+            "truth of the same scene (render --truth), or --force"
+        )
+    for name, file in (("reconstruction", rec), ("truth", truth)):
+        if rec.scene and truth.scene and not file.identity:
+            warnings.warn(
+                f"whether reconstruction and truth are of one scene is not known: the {name} is of a version without digests; "
+                "make it again to have them compared",
+                FringebenchWarning,
+                stacklevel=3,
+            )
+    return tuple(differing)
 
 
 def other_unit(measured_mm: NDArray[np.floating], true_mm: NDArray[np.floating]) -> str:
@@ -50,27 +71,3 @@ def other_unit(measured_mm: NDArray[np.floating], true_mm: NDArray[np.floating])
         if abs(ratio * size_mm - 1.0) < UNIT_TOLERANCE:
             return unit
     return ""
-
-
-def _tree(text: str, whose: str) -> dict[str, Any]:
-    """The tables of a scene."""
-    try:
-        return parse_toml(text)
-    except ValueError as error:
-        raise ScoreError(
-            f"the {whose}'s scene is not valid TOML ({error}): make the file again from its scene"
-        ) from error
-
-
-def _text(tree: dict[str, Any], part: str) -> str:
-    """A part of a scene as text; 1 and 1.0 are one number."""
-    return json.dumps(_numbers(tree.get(part)), sort_keys=True, default=str)
-
-
-def _numbers(value: Any) -> Any:
-    """Whole numbers as floats, everywhere in a tree."""
-    if isinstance(value, dict):
-        return {key: _numbers(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_numbers(item) for item in value]
-    return float(value) if type(value) is int else value

@@ -17,7 +17,7 @@ from scipy import ndimage
 from decode import Reconstruction
 from evaluation.scoring.disparity import DisparityScore, disparity_scores
 from evaluation.scoring.feature_fits import Feature, features
-from evaluation.scoring.identity import differing_parts, other_unit
+from evaluation.scoring.identity import other_unit, require_same_scene
 from evaluation.scoring.slope_errors import SlopeScore, slope_scores
 from scenes.files.truth_maps import Truth
 from scenes.support.atomic_file import replacing
@@ -180,7 +180,8 @@ def score(
     Warns
     -----
     FringebenchWarning
-        When the heights seem to be in metres, inches or micrometres.
+        When the heights seem to be in metres, inches or micrometres, or when a file is of a version that does not say which
+        scene and rig it is of.
 
     Examples
     --------
@@ -193,12 +194,7 @@ def score(
     >>> score(Reconstruction.of_heights(height + 0.5), truth).regions["base"].bias_mm
     0.5
     """
-    parts = differing_parts(rec, truth)
-    if parts and not force:
-        raise ScoreError(
-            f"the reconstruction and the truth are of different scenes: they differ in {', '.join(parts)}; give the truth of "
-            "the same scene (render --truth), or --force"
-        )
+    parts = require_same_scene(rec, truth, force)
     regions = region_scores(
         rec, truth, margin_px=margin_px, outlier_sigmas=outlier_sigmas, outlier_mm=outlier_mm
     )

@@ -17,6 +17,7 @@ from render.plugins.shared_surfaces import Surfaces, shared
 from render.plugins.variant import dr, mi, use
 from render.transport import Transport
 from scenes.acquisition.pattern_basis import Basis, basis
+from scenes.identity import identity
 from scenes.scene import MAX_SAMPLES, Scene
 from scenes.support.errors import RenderError
 from scenes.support.memory import room_for
@@ -139,6 +140,7 @@ def _traced(
         depth,
         noise_rad=noise,
         amplitude_noise=amplitude,
+        identity=identity(scene),
     )
 
 

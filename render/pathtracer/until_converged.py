@@ -33,6 +33,7 @@ from render.transport import PhaseError, Transport
 from scenes.acquisition.fringe_fit import STRAY_FRACTION
 from scenes.acquisition.pattern_basis import Basis, basis
 from scenes.acquisition.patterns import Patterns
+from scenes.identity import identity
 from scenes.scene import MIN_PHASE_ERROR_RAD, Scene
 from scenes.support.errors import FringebenchWarning, RenderError
 from scenes.support.memory import room_for
@@ -131,7 +132,7 @@ def trace(
             trace(view, number, *limits, shared(scene, surfaces), render_noise)
             for view, number in ((alone, seed), (scene.second_view(), second_seed(seed)))
         ]
-        return replace(views[0], scene=scene, second=views[1])
+        return replace(views[0], scene=scene, second=views[1], identity=identity(scene))
     target = phase_error_rad
     if target is None and render_noise is None and samples is None:
         target, render_noise = scene.sampling.phase_error_rad, _wanted_noise(scene)

@@ -43,6 +43,7 @@ from render.plugins.variant import use
 from render.point_spread import spread_kernel
 from render.transport import RenderNoise, Transport
 from scenes.acquisition.pattern_basis import Basis, basis
+from scenes.identity import identity
 from scenes.scene import Scene
 from scenes.support.errors import FringebenchWarning, RenderError, nearest
 from scenes.support.memory import room_for
@@ -159,6 +160,7 @@ def _traced(
             seed,
             max(round(paths / label.size), 1),
             pass_.depth,
+            identity=identity(scene),
         )
 
     indirect = pass_.depth > 1 or pass_.ambient is not None

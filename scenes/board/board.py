@@ -195,7 +195,7 @@ class GerberBoard(BoardBase):
 
     def layout(self) -> Layout:
         """The artwork, cut to the region; raises `FileError` or `SceneError` for what cannot be read or is missing."""
-        paths = self._paths()
+        paths = self.layer_paths()
         mirrored = self.side == "bottom"
         pads = gerber.read_pads(paths["paste"], mirrored)
         everything = shapely.union_all([pad.outline for pad in pads])
@@ -227,7 +227,8 @@ class GerberBoard(BoardBase):
             inside, copper.intersection(board), openings.intersection(board), board, box, cut
         )
 
-    def _paths(self) -> dict[gerber.Role, Path]:
+    def layer_paths(self) -> dict[gerber.Role, Path]:
+        """The file of each layer that is used."""
         given = {role: getattr(self.files, role) for role in gerber.ROLES}
         named = {
             role: path if self.folder is None else self.folder / path

@@ -18,6 +18,7 @@ from typing import Any, Literal
 import numpy as np
 import OpenEXR
 from numpy.typing import DTypeLike, NDArray
+from pydantic import TypeAdapter
 
 from scenes.support.atomic_file import replacing
 from scenes.support.errors import FileError
@@ -34,6 +35,8 @@ SMALLEST_SAMPLE = 2
 _ONE_THREAD = threading.Lock()
 
 Channels = Mapping[str, NDArray[Any]]
+Identity = Mapping[str, str]
+"""Part of a scene -> digest of what the truth depends on (see `scenes.identity`); empty: not known."""
 
 
 def write(
@@ -155,6 +158,11 @@ def meta_of(header: Mapping[str, Any], source: Path) -> dict[str, Any] | None:
     if meta is not None and not isinstance(meta, dict):
         raise FileError(f"'{source}': its fringebench header is no JSON object")
     return meta
+
+
+def identity_of(meta: Mapping[str, Any]) -> Identity:
+    """The identity in a file's header; empty in files before version 0.3. `ValueError` for anything else."""
+    return TypeAdapter(dict[str, str]).validate_python(meta.get("identity", {}))
 
 
 def whole(plane: NDArray[Any], dtype: DTypeLike) -> NDArray[Any]:

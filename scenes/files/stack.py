@@ -1,6 +1,6 @@
 """Raw frames as a camera delivers them, with all that a decoder may know."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
@@ -12,6 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 from scenes.acquisition.patterns import Frame
 from scenes.acquisition.sensor import Sensor
 from scenes.files import exr_rows
+from scenes.files.exr import Identity, identity_of
 from scenes.files.exr_rows import Bands
 from scenes.rig.calibration import Calibration
 from scenes.rig.devices import Resolution
@@ -59,6 +60,8 @@ class Stack(Displayed):
     """Columns, rows of the projectors where there is no calibration; None: unknown. See `projector_size`."""
     gamma: float | None = None
     """Gamma of the fringes' response, which decoding undoes; None: linear."""
+    identity: Identity = field(default_factory=dict)
+    """Digests of what was traced, see `scenes.identity`; empty: not known, or a real capture."""
 
     def _facts(self) -> dict[str, str]:
         exposures, frames, rows, columns = self.frames.shape
@@ -130,6 +133,7 @@ class Stack(Displayed):
             "sensor": self.sensor.model_dump(mode="json"),
             "calibration": self.calibration and self.calibration.model_dump(mode="json"),
             "scene": self.scene,
+            "identity": dict(self.identity),
             "seed": self.seed,
             "projector_resolution": self.projector_resolution,
             "gamma": self.gamma,
@@ -165,6 +169,7 @@ class Stack(Displayed):
                     meta["seed"],
                     size,
                     TypeAdapter(float | None).validate_python(meta.get("gamma")),
+                    identity_of(meta),
                 )
             except (KeyError, TypeError, ValueError, ValidationError, DecodeError) as error:
                 raise FileError(

@@ -1,6 +1,6 @@
 """Ground truth: what the camera should have measured, from rays through pixel centres against the meshes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
@@ -48,6 +48,8 @@ class Truth(Displayed):
     materials: tuple[str, ...] = ()
     render_noise_mm: Floats | None = None
     """(row, col) standard deviation that the noise of light paths alone gives the height, mm; None: not known."""
+    identity: exr.Identity = field(default_factory=dict)
+    """Digests of the scene and rig, see `scenes.identity`; empty: not known."""
 
     def _facts(self) -> dict[str, str]:
         rows, columns = self.label.shape
@@ -139,6 +141,7 @@ class Truth(Displayed):
             "materials": list(self.materials),
             "projectors": len(self.lit_by),
             "scene": self.scene,
+            "identity": dict(self.identity),
         }
         exr.write(path, KIND, channels, meta)
 
@@ -162,6 +165,7 @@ class Truth(Displayed):
                 exr.whole(channels["material"], np.uint16) if "material" in channels else None,
                 tuple(str(name) for name in meta.get("materials", ())),
                 channels.get("render_noise"),
+                exr.identity_of(meta),
             )
         except (KeyError, TypeError, ValueError) as error:
             raise FileError(
