@@ -86,13 +86,13 @@ def test_heights_of_a_texture_are_found_wherever_the_second_camera_is(
     assert np.isnan(rec.sigma_mm).all(), "no sigma is claimed"
 
 
-def test_without_texture_pixels_say_so() -> None:
+def test_untextured_pair_is_refused_with_the_reason() -> None:
     stack, _ = pair(camera(RIGHT), contrast=0.0)
     with pytest.raises(DecodeError, match=r"no-texture (9|100).*project random dots"):
         decode.reconstruct(stack)
 
 
-def test_both_matchers_and_a_region_serve() -> None:
+def test_block_matcher_measures_a_region() -> None:
     stack, height = pair(camera(RIGHT))
     rec = decode.reconstruct(stack, matcher="bm", roi=(30, 90, 60, 140))
     assert (rec.reason[:30] == Reason.OUTSIDE_ROI).all()

@@ -79,7 +79,7 @@ def test_truth_decoding_and_reading_check_memory(
             ask()
 
 
-def test_estimate_that_was_too_low_is_reported() -> None:
+def test_memory_error_is_reported_as_too_large() -> None:
     with (
         pytest.raises(TooLargeError, match="more than is free: go away"),
         memory.room_for(1, "this", "go away"),

@@ -52,13 +52,13 @@ def test_scene_name_does_not_lead_out_of_the_working_folder(
 
 
 @pytest.mark.parametrize("label", ["../x", "a/b", "", "a b", ".x", "a\n", "<b>", "a" * 65])
-def test_labels_are_plain_words(label: str) -> None:
+def test_label_that_is_no_plain_word_is_refused(label: str) -> None:
     with pytest.raises(SceneError, match="label"):
         scenes.load("step", {"objects.0.label": label})
 
 
 @pytest.mark.parametrize("name", ["../x", "a/b", "", ".", "a\0b"])
-def test_splits_are_plain_words(name: str) -> None:
+def test_split_that_is_no_plain_word_is_refused(name: str) -> None:
     with pytest.raises(DatasetError, match="splits"):
         DatasetPlan.of(scenes.load("step"), 2, splits={name: 1.0})
 

@@ -51,7 +51,9 @@ def _pyright(script: Path) -> str:
 
 
 @pytest.mark.parametrize("check", [_mypy, _pyright], ids=["mypy", "pyright"])
-def test_user_script_is_accepted_and_each_mistake_is_seen(check: object, tmp_path: Path) -> None:
+def test_user_script_is_accepted_and_each_mistake_is_detected(
+    check: object, tmp_path: Path
+) -> None:
     assert callable(check)
     script = tmp_path / "script.py"
     text = SCRIPT.read_text("utf-8")

@@ -57,7 +57,7 @@ def test_parts_of_a_frame_show_parts_of_its_planes() -> None:
 
 
 @pytest.mark.parametrize("triggered", [True, False])
-def test_whole_frames_err_by_nothing(triggered: bool) -> None:
+def test_exposures_of_whole_frames_have_no_error(triggered: bool) -> None:
     light = device_light(projectors__0__triggered=triggered)
     steady = taken(light, [1.0], steady=True)
     for seed in range(3):
@@ -84,7 +84,7 @@ def test_exposures_that_start_anywhere_keep_the_mean_and_their_seed() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("periods", "rms_rad"), [(2.5, 0.0576), (10.5, 0.0142), (20.5, 0.0076)])
-def test_phase_errs_as_a_plain_calculation_of_mirrors_has_it(
+def test_phase_error_equals_that_of_a_simulation_of_single_mirrors(
     periods: float, rms_rad: float
 ) -> None:
     light = device_light(projectors__0__triggered=False)

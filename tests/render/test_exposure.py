@@ -232,7 +232,7 @@ def test_auto_exposure_reaches_its_level(sensor: SimpleSensor | Emva) -> None:
     assert frames[:, light.label == 2].mean() != pytest.approx(frames.mean(), rel=1e-3)
 
 
-def test_direct_only_keeps_the_exposure_times_of_all_light() -> None:
+def test_direct_light_alone_is_exposed_as_long_as_all_light() -> None:
     light = transport()
     exposures = Exposures(auto=AutoExposure(label="base", level_dn=200.0))
     total, direct = (

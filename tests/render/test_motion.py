@@ -39,9 +39,7 @@ def taken(light: render.Transport, times_ms: list[float], **how: Any) -> Floats:
 
 
 @pytest.mark.parametrize(("right", "up"), [(2, 0), (0, -1), (-3, 2)])
-def test_whole_pixels_of_motion_shift_what_does_not_depend_on_the_pattern(
-    right: int, up: int
-) -> None:
+def test_motion_by_whole_pixels_shifts_evenly_lit_frames_by_as_many(right: int, up: int) -> None:
     """The mean of four steps is the light of an even projector, which goes with the scene: shadows, edges and all."""
     shape = {"kind": "gray-code", "bits": (1,), "cell_px": 64.0, "inverted": False}
     scene = moving((right * PIXEL_UM, up * PIXEL_UM), patterns=shape)
@@ -84,7 +82,7 @@ def test_phase_of_a_moving_slope_is_its_closed_form() -> None:
     assert error.max() == pytest.approx(turn * rise_mm / 2, rel=0.02)
 
 
-def test_motion_is_left_out_of_steady_pictures_and_counts_lights() -> None:
+def test_steady_frames_leave_out_motion_and_moved_lights_must_suffice() -> None:
     scene = moving((50.0, 0.0))
     light = render.trace(scene, samples=2)
     plain = render.trace(scene.model_copy(update={"conveyor_um": (0.0, 0.0)}), samples=2)

@@ -188,7 +188,7 @@ def edge_scene(columns: int = 64) -> scenes.Scene:
     )
 
 
-def test_another_f_number_needs_no_trace_and_none_changes_nothing() -> None:
+def test_wider_lens_is_sharper_and_light_without_psf_is_unblurred() -> None:
     light = render.trace(edge_scene(), samples=4)
     sharp = render.expose(light, sensor=sensor(8.0, psf="none"), noise=False)
     open_, closed = (render.expose(light, sensor=sensor(n), noise=False) for n in (2.8, 16.0))

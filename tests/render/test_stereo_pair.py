@@ -80,7 +80,7 @@ def test_files_keep_both_cameras(tmp_path: Path) -> None:
     assert abs(np.corrcoef(first.ravel(), second.ravel())[0, 1]) < 0.9
 
 
-def test_commands_serve_a_pair_stage_by_stage(
+def test_commands_measure_a_pair_stage_by_stage(
     tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -133,7 +133,7 @@ def test_impossible_pairs_are_refused(change: dict[str, Any], said: str) -> None
         scenes.load("stereo", SMALL | change)
 
 
-def test_what_is_for_one_camera_refuses_a_pair(
+def test_commands_for_one_camera_refuse_a_pair(
     tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -148,7 +148,7 @@ def test_dots_for_one_camera_are_refused() -> None:
 
 
 @pytest.mark.slow
-def test_dots_make_both_halves_matchable_and_even_light_only_the_texture() -> None:
+def test_dots_let_all_surfaces_be_matched_and_even_light_textured_ones() -> None:
     size = {"camera.resolution": [320, 240]}
     plain, textured = ("base", "cap", "step"), ("textured-base", "textured-cap", "textured-step")
     found = {}

@@ -112,14 +112,14 @@ def test_flicker_changes_ambient_light_alone() -> None:
     assert share.std() > 0.1
 
 
-def test_steady_scenes_keep_their_numbers() -> None:
+def test_flicker_of_no_amplitude_changes_nothing() -> None:
     transport = render.trace(plain(), samples=4)
     calm = render.trace(plain(ambient__flicker_hz=50.0, vibration_um=0.0), samples=4)
     a, b = (render.expose(light, seed=5, sensor=Emva(psf="none")) for light in (transport, calm))
     np.testing.assert_array_equal(a.frames, b.frames)
 
 
-def test_speckle_is_of_a_seed_and_needs_a_lens() -> None:
+def test_speckle_follows_its_seed_keeps_the_mean_and_needs_a_lens() -> None:
     scene = plain(projectors__0__speckle_contrast=0.2)
     transport = render.trace(scene, samples=4)
     lens = Emva(bits=0, full_well_e=1e12)

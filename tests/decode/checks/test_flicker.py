@@ -121,7 +121,7 @@ def test_steady_source_gives_no_warning(
 
 @pytest.mark.parametrize("flicker", [0.0, 0.05])
 @pytest.mark.parametrize("turns", [3.5, 8.0])
-def test_edges_of_contrast_and_few_fringes_are_no_flicker_and_hide_none(
+def test_flicker_is_found_despite_edges_of_contrast_and_few_fringes(
     turns: float, flicker: float
 ) -> None:
     """A shiny disc under light that does not come from the projector has another contrast than its surroundings."""
@@ -141,7 +141,7 @@ def test_edges_of_contrast_and_few_fringes_are_no_flicker_and_hide_none(
     assert {f.verdict for f in found} == ({"ok"} if not flicker else {"wrong"})
 
 
-def test_one_fringe_in_view_says_nothing_of_the_source() -> None:
+def test_flicker_is_unknown_with_one_fringe_in_view() -> None:
     stack = taken(FLICKER[4])
     coarsest = fringe_sets(stack.patterns, 0)["column"][0]
     assert measured_flicker(stack, coarsest, 0) is None

@@ -78,7 +78,7 @@ def test_parts_whose_height_is_one_period_pass() -> None:
     assert finding(coded(HALF_CELLS, 0.0, height, calibration), "neighbours").verdict == "ok"
 
 
-def test_coordinates_out_of_order_along_epipolar_lines_are_seen() -> None:
+def test_coordinates_out_of_order_along_epipolar_lines_are_detected() -> None:
     shifted = finding(coded(CELL_IS_PERIOD, 8.0, hills(SIZE), level_rig()), "epipolar order")
     # A code half a period off lowers half of the pixels by a period, below the half before them.
     assert shifted.verdict == "wrong"

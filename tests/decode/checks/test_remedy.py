@@ -50,7 +50,7 @@ def stated(stack: Stack, change: Callable[[Frame], float], period_px: float | No
     ],
     ids=["180", "90 of a coarser set", "180 of all", "direction"],
 )  # fmt: skip
-def test_value_that_fits_is_named(
+def test_message_names_the_value_that_fits(
     steps: int, change: Callable[[Frame], float], period_px: float | None, said: str
 ) -> None:
     wrong = stated(taken(steps), change, period_px)
@@ -66,7 +66,7 @@ def stated_period(stack: Stack, period_px: float, other_px: float) -> Stack:
 
 
 @pytest.mark.parametrize("factor", [0.97, 0.99, 1.01, 1.04])
-def test_right_period_is_named_where_only_its_orders_tell(factor: float) -> None:
+def test_right_period_is_named_from_orders_that_disagree(factor: float) -> None:
     """One turn of the coarse fringes is in view: their phase cannot show the scale, and one pixel in ten disagrees."""
     stack = stated_period(taken(4, (24.0, 1024.0)), 24.0, 24.0 * factor)
     found = check(stack).wrong

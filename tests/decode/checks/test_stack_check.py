@@ -60,7 +60,7 @@ def test_correct_capture_passes(patterns: PhaseShift | GrayCode) -> None:
 
 
 @pytest.mark.slow
-def test_every_exchange_of_two_steps_of_four_is_seen() -> None:
+def test_every_exchange_of_two_steps_of_four_is_detected() -> None:
     stack = large(FOUR)
     for i in range(4):
         for j in range(i):
@@ -74,7 +74,7 @@ def test_exchange_that_restores_the_order_is_named() -> None:
 
 
 @pytest.mark.slow
-def test_every_exchange_of_three_step_frames_and_gray_frames_is_seen() -> None:
+def test_every_exchange_of_three_step_frames_and_gray_frames_is_detected() -> None:
     stack = large(THREE)
     # Three steps in any order fit a sinusoid, but the other period and the code disagree
     # frame 6 + 2 b is bit b of the columns; bit 0 is dark in the whole field of view.
@@ -84,7 +84,7 @@ def test_every_exchange_of_three_step_frames_and_gray_frames_is_seen() -> None:
 
 # The two finest bits are no coarser than the camera's pixels: exchanging them moves a point by three cells at most.
 @pytest.mark.parametrize("bits", [(1, 2), (2, 5), (5, 6)])
-def test_exchanged_frames_of_a_gray_code_are_seen(bits: tuple[int, int]) -> None:
+def test_exchanged_frames_of_a_gray_code_are_detected(bits: tuple[int, int]) -> None:
     stack = large(CODE)
     one, two = (2 * bit for bit in bits)
     assert check(exchanged(stack, one, two)).wrong
@@ -93,13 +93,13 @@ def test_exchanged_frames_of_a_gray_code_are_seen(bits: tuple[int, int]) -> None
 
 
 @pytest.mark.parametrize("bit", [0, 3, 5])
-def test_inverse_in_place_of_its_frame_is_seen(bit: int) -> None:
+def test_inverse_in_place_of_its_frame_is_detected(bit: int) -> None:
     assert check(exchanged(large(CODE), 2 * bit, 2 * bit + 1)).wrong
 
 
 @pytest.mark.parametrize("factor", [0.8, 1.1, 1.5])
 @pytest.mark.parametrize("patterns", [FOUR, THREE])
-def test_wrong_period_is_seen(patterns: PhaseShift, factor: float) -> None:
+def test_wrong_period_is_detected(patterns: PhaseShift, factor: float) -> None:
     stack = large(patterns)
     stated = tuple(
         replace(f, period_px=f.period_px * factor) if f.period_px == 16.0 else f
@@ -109,7 +109,7 @@ def test_wrong_period_is_seen(patterns: PhaseShift, factor: float) -> None:
 
 
 @pytest.mark.parametrize("which", [0, 1])
-def test_period_wrong_by_half_a_per_cent_is_seen_and_named(which: int) -> None:
+def test_period_wrong_by_half_a_per_cent_is_detected_and_named(which: int) -> None:
     stack = large(PhaseShift(steps=4, periods_px=(16.0, 64.0)))
     period = (16.0, 64.0)[which]
     patterns = tuple(
@@ -121,13 +121,13 @@ def test_period_wrong_by_half_a_per_cent_is_seen_and_named(which: int) -> None:
     assert float(fitting[which]) == pytest.approx(period, rel=1e-4)
 
 
-def test_wrong_direction_of_shift_is_seen() -> None:
+def test_wrong_direction_of_shift_is_detected() -> None:
     stack = large(THREE)
     stated = tuple(replace(f, phase_shift_rad=-f.phase_shift_rad) for f in stack.patterns)
     assert any("agreement" in f.name for f in check(replace(stack, patterns=stated)).wrong)
 
 
-def test_another_rigs_calibration_is_seen() -> None:
+def test_another_rigs_calibration_is_detected() -> None:
     stack = large(FOUR)
     light = CALIBRATION.projectors[0]
     assert light.model == "pinhole"
@@ -141,7 +141,7 @@ def test_another_rigs_calibration_is_seen() -> None:
     assert (right.verdict, "is not this rig's" in right.message) == ("ok", False)
 
 
-def test_exposure_times_in_the_wrong_order_are_seen() -> None:
+def test_exposure_times_in_the_wrong_order_are_detected() -> None:
     stack = large(FOUR, exposures=(0.5, 1.0))
     assert not check(stack).wrong
     back = replace(stack, exposure_ms=(1.0, 0.5))
@@ -163,7 +163,7 @@ def test_saturation_and_gamma_are_warned_of_not_refused() -> None:
     assert fine[0] == pytest.approx(2.0, abs=0.02)
 
 
-def test_what_a_stack_cannot_show_is_unknown() -> None:
+def test_checks_of_a_single_period_are_unknown() -> None:
     report = check(take(PhaseShift(steps=3, periods_px=(16.0,)), calibrated=True))
     assert {f.name for f in report.findings if f.verdict == "unknown"} >= {
         "column fringes of 16 px, order",

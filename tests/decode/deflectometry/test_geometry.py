@@ -115,7 +115,7 @@ def test_integrated_normals_of_a_sphere_give_its_heights(
     assert np.ptp(off) < 1e-3 * 0.1
 
 
-def test_separate_patches_are_integrated_for_themselves() -> None:
+def test_separate_patches_are_integrated_independently() -> None:
     rays, point, normal = sphere(PINHOLE, 200.0)
     mask = np.ones((SIZE[1], SIZE[0]), np.bool_)
     mask[:, 20] = False

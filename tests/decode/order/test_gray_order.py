@@ -143,7 +143,7 @@ def test_pixel_wider_than_the_stripes_has_a_wider_cell(box_px: float) -> None:
     assert (np.abs(ratio) > 3.0).mean() < 0.01
 
 
-def test_no_light_is_shadow_not_a_code() -> None:
+def test_unlit_pixels_are_rejected_as_shadow_or_dark() -> None:
     lit = np.ones(HEIGHT.shape)
     lit[:10] = 0.0
     rec = decode.reconstruct(take(GrayCode(bits=(9,)), gain=160.0 * lit, sigma_dn=2.0))

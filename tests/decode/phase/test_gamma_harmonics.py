@@ -102,7 +102,7 @@ def test_histogram_of_a_surface_with_phases_of_its_own_shows_nothing(
 @pytest.mark.parametrize(
     ("gammas", "found"), [((1.5, 1.5), 1.5), ((1.5, 1.0), None), ((1.0, 1.0), None)]
 )
-def test_a_response_is_one_that_all_sets_show(
+def test_gamma_is_reported_only_if_all_sets_agree_on_it(
     gammas: tuple[float, float], found: float | None
 ) -> None:
     """One linear set among bent ones: what bends them is not the projector's response."""

@@ -211,6 +211,6 @@ def test_causes_are_in_the_file_and_end_with_the_region(tmp_path: Path) -> None:
     assert np.isnan(part.total_sigma_mm[:10]).all()
 
 
-def test_phases_alone_have_no_causes() -> None:
+def test_phases_without_heights_refuse_uncertainty_by_cause() -> None:
     with pytest.raises(DecodeError, match=r"by-cause.*height is .phase."):
         decode.reconstruct(stack(), uncertainty="by-cause", height="phase")

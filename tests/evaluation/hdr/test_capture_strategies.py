@@ -219,7 +219,7 @@ def test_projectors_of_one_scene_are_not_compared() -> None:
             captured(name, reference(), "equal-time")
 
 
-def test_one_projector_has_the_pictures_of_all() -> None:
+def test_one_projector_alone_costs_as_much_as_all() -> None:
     ref = replace(reference(), projectors=4)
     for budget in BUDGETS:
         one, every = (captured(name, ref, budget) for name in ("one-projector", "every-projector"))
@@ -279,7 +279,7 @@ def test_one_repeat_establishes_nothing() -> None:
     assert result.to_dict()["strategies"][0]["regions"]["base"]["half_width"]["rms_mm"] is None
 
 
-def test_front_holds_what_nothing_shorter_beats() -> None:
+def test_front_leaves_out_what_a_shorter_cycle_beats() -> None:
     rows = (
         entry("short", [3.0, 3.0], cycle_ms=1.0),
         entry("worse", [4.0, 4.0], cycle_ms=2.0),

@@ -46,7 +46,7 @@ REFERENCE = Reference(
 
 
 @pytest.mark.parametrize("plan", [pytest.param(planned, marks=pytest.mark.slow), clustered])
-def test_plans_keep_budgets_and_pay_for_their_look(plan: CapturePlan) -> None:
+def test_plans_keep_budgets_and_count_their_metering_frames(plan: CapturePlan) -> None:
     for budget in BUDGETS:
         got = plan(two_surfaces(), REFERENCE, budget)
         assert got.frames == got.stack.frames.shape[0] * 8 + 2 * 6

@@ -88,9 +88,7 @@ def test_columns_are_those_of_machines_in_their_units(board: BoardTruth, tmp_pat
         assert (row["Result"] == "GOOD") == (row["Defect"] == "")
 
 
-def test_file_of_a_machine_needs_no_more_than_its_figures(
-    board: BoardTruth, tmp_path: Path
-) -> None:
+def test_csv_of_a_machine_needs_only_pad_and_figures(board: BoardTruth, tmp_path: Path) -> None:
     path = tmp_path / "machine.csv"
     header = "PadID,Volume(um3),Area(um2),Height(um),OffsetX(mm),OffsetY(mm)"
     rows = [f"{pad.pad},1e7,1e5,100,0.01,-0.01" for pad in board.pads]

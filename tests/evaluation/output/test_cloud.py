@@ -61,7 +61,7 @@ def test_cloud_is_read_by_trimesh(
     assert (np.diff(colours[0, :, 0].astype(int)) >= 0).all()
 
 
-def test_only_known_fields_are_written(
+def test_cloud_of_bare_heights_has_points_and_normals_only(
     calibration: scenes.Calibration, tilted: Floats, tmp_path: Path
 ) -> None:
     path = tmp_path / "cloud.ply"

@@ -105,7 +105,7 @@ def test_right_capture_passes(tmp_path: Path, call: Call, name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("pair", [(0, 1), (1, 2), (2, 3)])
 @pytest.mark.parametrize("name", PATTERNS)
-def test_swapped_frames_are_seen_or_harmless(
+def test_swapped_frames_are_detected_or_harmless(
     tmp_path: Path, call: Call, name: str, pair: tuple[int, int]
 ) -> None:
     def swap(manifest: Manifest) -> None:
@@ -120,7 +120,7 @@ def test_swapped_frames_are_seen_or_harmless(
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.95, 1.01, 1.25])
 @pytest.mark.parametrize("name", FRINGES)
-def test_wrong_period_is_seen_or_harmless(
+def test_wrong_period_is_detected_or_harmless(
     tmp_path: Path, call: Call, name: str, factor: float
 ) -> None:
     manifest = capture(tmp_path, name)
@@ -131,7 +131,7 @@ def test_wrong_period_is_seen_or_harmless(
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.5, 0.9, 2.0])
 @pytest.mark.parametrize("name", [*CODED, "code alone"])
-def test_wrong_cell_is_seen(tmp_path: Path, call: Call, name: str, factor: float) -> None:
+def test_wrong_cell_is_detected(tmp_path: Path, call: Call, name: str, factor: float) -> None:
     def widen(manifest: Manifest) -> None:
         for shown in sets(manifest, "gray"):
             shown["cell_px"] *= factor
@@ -142,7 +142,7 @@ def test_wrong_cell_is_seen(tmp_path: Path, call: Call, name: str, factor: float
 @pytest.mark.slow
 @pytest.mark.parametrize("cells", [-0.4, 0.05, 0.25, 0.5, 1.0])
 @pytest.mark.parametrize("name", CODED)
-def test_shifted_code_is_seen_or_harmless(
+def test_shifted_code_is_detected_or_harmless(
     tmp_path: Path, call: Call, name: str, cells: float
 ) -> None:
     code = next(f for f in PATTERNS[name].frames() if f.kind == "gray")
@@ -151,7 +151,7 @@ def test_shifted_code_is_seen_or_harmless(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FRINGES)
-def test_flicker_of_five_per_cent_is_seen_or_harmless(
+def test_flicker_of_five_per_cent_is_detected_or_harmless(
     tmp_path: Path, call: Call, name: str
 ) -> None:
     gains = 1.0 + 0.05 * np.random.default_rng(1).choice([-1.0, 1.0], 64)
@@ -162,7 +162,7 @@ def test_flicker_of_five_per_cent_is_seen_or_harmless(
 @pytest.mark.slow
 @pytest.mark.parametrize("white_dn", [230.0, 300.0, 500.0])
 @pytest.mark.parametrize("name", FRINGES)
-def test_clipping_at_235_is_seen_or_harmless(
+def test_clipping_at_235_is_detected_or_harmless(
     tmp_path: Path, call: Call, name: str, white_dn: float
 ) -> None:
     sees(call, capture(tmp_path, name, top_dn=235.0, white_dn=white_dn))
@@ -171,7 +171,7 @@ def test_clipping_at_235_is_seen_or_harmless(
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [(200, 200), (640, 480), (1600, 1200)])
 @pytest.mark.parametrize("name", PATTERNS)
-def test_wrong_projector_size_is_seen_or_harmless(
+def test_wrong_projector_size_is_detected_or_harmless(
     tmp_path: Path, call: Call, name: str, size: tuple[int, int]
 ) -> None:
     def resize(manifest: Manifest) -> None:
@@ -184,7 +184,7 @@ def test_wrong_projector_size_is_seen_or_harmless(
 @pytest.mark.slow
 @pytest.mark.parametrize("repeat", [False, True])
 @pytest.mark.parametrize("name", ["periods", "both axes", "heterodyne"])
-def test_merged_sets_are_seen(tmp_path: Path, call: Call, name: str, repeat: bool) -> None:
+def test_merged_sets_are_detected(tmp_path: Path, call: Call, name: str, repeat: bool) -> None:
     def merge(manifest: Manifest) -> None:
         one, two = sets(manifest, "fringes")[:2]
         two.update(period_px=one["period_px"], repeat=repeat)
@@ -193,7 +193,7 @@ def test_merged_sets_are_seen(tmp_path: Path, call: Call, name: str, repeat: boo
 
 
 @pytest.mark.slow
-def test_dropped_distortion_is_seen(tmp_path: Path, call: Call) -> None:
+def test_dropped_distortion_is_detected(tmp_path: Path, call: Call) -> None:
     manifest = capture(tmp_path, "periods")
     storage = cv2.FileStorage(str(tmp_path / "rig.yml"), cv2.FILE_STORAGE_WRITE)
     for name, model in (("1", RIG.camera), ("2", RIG.projectors[0])):

@@ -94,7 +94,7 @@ def test_number_zero_of_a_height_picture_is_no_height() -> None:
 
 
 @pytest.mark.usefixtures("here")
-def test_set_without_pictures_says_so(plan: DatasetPlan, tmp_path: Path) -> None:
+def test_picture_of_a_set_made_without_them_is_refused(plan: DatasetPlan, tmp_path: Path) -> None:
     folder = tmp_path / "set"
     build(plan.model_copy(update={"count": 1, "picture": False}), folder)
     sample = fringebench.Dataset(folder)[0]

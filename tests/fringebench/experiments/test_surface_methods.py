@@ -19,7 +19,7 @@ def cells(found: MethodMap) -> dict[tuple[str, str], Cell]:
 
 
 @pytest.mark.slow
-def test_two_cells_have_page_table_and_reason(
+def test_command_writes_cells_with_reasons_figure_and_page(
     tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -42,7 +42,7 @@ def test_unknown_names_are_refused_with_the_nearest() -> None:
         fb.methods(["stereo"])
 
 
-def test_a_row_says_coverage_error_and_cause() -> None:
+def test_row_holds_coverage_error_and_cause() -> None:
     found = MethodMap(
         (
             Cell("a", "matt", 100, 0.5, 0.1, 0.02, 0.01, "shadow", 0.5),

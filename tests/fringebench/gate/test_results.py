@@ -53,7 +53,7 @@ def corner_high(stack: scenes.Stack) -> faulty_decoders.Heights:
     return height, valid, sigma
 
 
-def test_failure_is_said_in_words_with_its_place(biased: Regression) -> None:
+def test_failure_is_described_in_words_with_its_place(biased: Regression) -> None:
     lines = biased.describe().splitlines()
     line = next(line for line in lines if "wrong fringe orders" in line)
     # 10 rows of 16, and 60 columns of 240: 15.6 %
@@ -126,9 +126,7 @@ def test_page_shows_the_failed_case_next_to_the_baseline_s(
     assert json.loads(json.dumps(biased.to_dict()))["worst_pixels"][0]["row"] == worst.row
 
 
-def test_light_read_from_the_cache_is_that_which_was_made(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_cached_light_equals_traced_light(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     small = {"camera.resolution": [40, 30], "sampling.samples": 4}
     scene = scenes.load("step", small)
     made = light_of(scene, tmp_path / "cache")

@@ -48,7 +48,7 @@ def test_stated_noise_is_the_scatter_between_seeds() -> None:
     assert np.sqrt(seen[quiet].mean() / stated[quiet].mean()) == pytest.approx(1.0, abs=0.15)
 
 
-def test_light_is_that_of_the_plain_pass() -> None:
+def test_mean_light_is_that_of_the_plain_pass() -> None:
     scene = rigs.scene(rigs.pinhole(), rigs.pinhole_projector(), objects=rigs.groove(), depth=4)
 
     def mean(light: render.Transport) -> float:
@@ -115,9 +115,7 @@ def test_cut_light_is_the_mean_turn_of_phase_and_not_its_noise() -> None:
     assert found[2] < 0.25
 
 
-def test_what_is_cut_is_kept_in_the_file_and_nothing_is_where_paths_end_by_chance(
-    tmp_path: Path,
-) -> None:
+def test_file_keeps_the_light_cut_by_depth_and_none_is_cut_at_depth_64(tmp_path: Path) -> None:
     shallow, whole = (
         render.trace(scenes.load("step", {**SMALL, "sampling.depth": depth}), render_noise=2.0)
         for depth in (2, 64)

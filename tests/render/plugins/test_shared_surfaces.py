@@ -33,7 +33,7 @@ def test_truth_without_transport_uses_the_given_surfaces() -> None:
     )
 
 
-def test_surfaces_serve_a_scene_with_a_moved_camera() -> None:
+def test_surfaces_give_the_same_light_with_a_moved_camera() -> None:
     scene = scenes.load("step", SMALL)
     moved = scenes.load("step", SMALL | {"camera.cx_px": 300.0})
     np.testing.assert_array_equal(

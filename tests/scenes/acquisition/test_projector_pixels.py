@@ -81,7 +81,7 @@ def test_fringe_contrast_is_sinc_of_the_open_width_times_the_blurs_transfer(
     assert first / shown.mean() == pytest.approx(expected, rel=2e-3)
 
 
-def test_gaps_across_a_pattern_are_a_comb_of_mean_one() -> None:
+def test_gaps_between_pixels_are_a_comb_of_mean_one() -> None:
     assert across(projector(bits=8)) is None
     assert across(projector(psf_sigma_px=0.5)) is None
     comb = across(projector(fill_factor=0.25))
@@ -111,7 +111,7 @@ def test_without_pixels_values_are_kept_at_pixel_centres(emission: dict[str, Any
         np.testing.assert_allclose(weights @ both, wanted, atol=0.003)
 
 
-def test_squares_and_an_ideal_projector_are_what_they_were() -> None:
+def test_fill_factor_one_changes_nothing_and_ideal_projectors_keep_their_basis() -> None:
     patterns = PhaseShift(periods_px=(8.0, 48.0))
     u, v = np.arange(0.3, COLUMNS)[:ROWS], np.arange(0.9, ROWS)
     squares = [projector(**k) for k in ({"bits": 8}, {"bits": 8, "fill_factor": 1.0})]

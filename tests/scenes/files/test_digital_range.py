@@ -63,7 +63,7 @@ def test_level_below_full_scale_at_which_samples_clip_is_found(
 
 
 @pytest.mark.parametrize("bits", [10, 12, 14])
-def test_bits_at_the_upper_end_end_the_range_at_their_highest_number(bits: int) -> None:
+def test_range_of_left_aligned_counts_ends_at_their_largest_value(bits: int) -> None:
     step, top = 2 ** (16 - bits), 2**bits - 1
     for gain in (1.0, 4.0):
         values, shown = light(patterns(4), gain)

@@ -81,7 +81,7 @@ KNOWN = {
 
 
 @pytest.mark.parametrize("made", KNOWN.values(), ids=KNOWN)
-def test_all_that_is_known_survives(tmp_path: Path, made: Stack) -> None:
+def test_every_field_survives_the_file(tmp_path: Path, made: Stack) -> None:
     made.write(tmp_path / "s.exr")
     back = Stack.read(tmp_path / "s.exr")
     for field in ("patterns", "exposure_ms", "sensor", "calibration", "scene", "seed"):

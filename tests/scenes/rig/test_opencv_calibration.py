@@ -60,7 +60,9 @@ def test_points_project_as_in_opencv_plus_half_a_pixel(tmp_path: Path, suffix: s
         ("Camera Matrix 1", "Dist.Coeffs.1", "K2", "D2", "r", "t"),
     ],
 )
-def test_usual_names_are_known(tmp_path: Path, names: tuple[str, ...]) -> None:
+def test_common_names_of_calibrations_are_recognised(
+    tmp_path: Path, names: tuple[str, ...]
+) -> None:
     tree = {name: np.asarray(v).tolist() for name, v in zip(names, PARTS.values(), strict=True)}
     path = tmp_path / "rig.json"
     path.write_text(json.dumps(tree))
@@ -71,7 +73,7 @@ def test_usual_names_are_known(tmp_path: Path, names: tuple[str, ...]) -> None:
     np.testing.assert_array_equal(pair.t_mm, T)
 
 
-def test_names_units_and_direction_can_be_given(tmp_path: Path) -> None:
+def test_names_unit_and_direction_given_by_the_caller_are_used(tmp_path: Path) -> None:
     inverse, back = R.T, -R.T @ T / 1000.0
     odd = {"A": K1, "B": K2, "turn": cv2.Rodrigues(inverse)[0], "move": back}
     names = {"first_matrix": "A", "second_matrix": "B", "rotation": "turn", "translation": "move"}
