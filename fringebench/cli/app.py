@@ -21,6 +21,7 @@ from fringebench.cli.commands import (
     inspection,
     method_grid,
     rigs,
+    runs,
     stages,
     viewing,
 )
@@ -83,7 +84,7 @@ def _options(
     """Render structured-light scenes, decode them, and score the heights against the rendered mesh."""
 
 
-for part in (stages, hdr, method_grid, gate, datasets, inspection, captures, rigs, viewing):
+for part in (runs, stages, hdr, method_grid, gate, datasets, inspection, captures, rigs, viewing):
     app.add_typer(part.app)
 
 

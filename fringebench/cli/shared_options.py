@@ -39,6 +39,7 @@ Settings = Annotated[
         "--set", metavar="KEY=VALUE", help="Override a key of the scene; may be repeated."
     ),
 ]
+Folder = Annotated[Path | None, typer.Option("-o", "--output", help="Folder to write.")]
 PhaseError = Annotated[
     float | None,
     typer.Option(

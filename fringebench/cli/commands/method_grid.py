@@ -4,8 +4,7 @@ from typing import Annotated
 
 import typer
 
-from fringebench.cli.commands.stages import Folder
-from fringebench.cli.shared_options import AsJson, Seed, ShowProgress
+from fringebench.cli.shared_options import AsJson, Folder, Seed, ShowProgress
 from fringebench.cli.terminal import print_figures, print_json, progress_steps, say
 from fringebench.progress import Mode
 
