@@ -78,7 +78,7 @@ class Device:
         return types.Float(lanes if pixels is None else dr.gather(kind, lanes, pixels))
 
     def image(self, values: Lanes, shape: tuple[int, int]) -> NDArray[Any]:
-        """Lanes as a host image of (rows, columns); a read-only view where one value serves all pixels."""
+        """Lanes as a host image of (rows, columns); a read-only view where all pixels have one value."""
         found = np.asarray(values.numpy())
         if found.size == 1:
             return np.broadcast_to(found, shape)

@@ -100,5 +100,5 @@ def speckle_spectrum(sensor: Emva, shape: tuple[int, int]) -> Floats:
             y, x = (down + i)[:, None], across + j
             squares = np.sinc(y) ** 2 * np.sinc(x) ** 2
             power += squares * diffraction_transfer(np.hypot(y, x), cutoff)
-    # Grains wider than the image are fewer than its waves tell.
+    # Grains wider than the image are fewer than the number of its waves suggests.
     return density * power / max(float(density * power.mean()), 1.0)

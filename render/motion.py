@@ -12,7 +12,7 @@ from render.transport import Transport
 from scenes.rig.devices import Extrinsics, Pose, Vector
 from scenes.scene import Scene
 
-# Displacement to both sides for the difference, at least: enough to stand out of the noise of light, and small against
+# Displacement to both sides for the difference, at least: enough to exceed the noise of light, and small against
 # a fringe (a phase of 0.2 rad at 0.3 mm of height per fringe, of which the difference misses 0.7 %).
 STEP_MM = 0.01
 

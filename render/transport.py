@@ -311,7 +311,7 @@ def _images(
     ambient, label = np.empty((0, 0), np.float32), np.empty((0, 0), np.uint16)
     light: NDArray[Any] | None = None
     for rows, channels in bands:
-        # A header may claim any size; a band that could be read bears out the width.
+        # A header may claim any size; a band that could be read confirms the width.
         if light is None:
             shape = (2, len(bases), most, *bands.size)
             light = mapped.array(shape, np.float32, source, "read it on a larger machine")

@@ -26,7 +26,7 @@ DIGITS = 16
 def identity(scene: Scene) -> dict[str, str]:
     """Digests of the parts of a scene that its truth depends on, with the contents of the files they name.
 
-    Patterns, sensor, exposures, light paths, and the brightness and tone of devices do not count: one truth serves all of them.
+    Patterns, sensor, exposures, light paths, and the brightness and tone of devices do not count: one truth is valid for all of them.
 
     Parameters
     ----------

@@ -259,7 +259,7 @@ class Scene(Frozen):
             )
         if isinstance(self.projectors[0], Screen):
             raise ValueError(  # noqa: TRY004
-                "a screen serves one camera: leave second_camera out"
+                "a screen is measured by one camera: leave second_camera out"
             )
         dotted = isinstance(self.patterns, RandomDots)
         for index, projector in enumerate(self.projectors):

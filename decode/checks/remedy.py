@@ -85,7 +85,7 @@ def _candidates(
 def _other_period(
     stack: Stack, axis: Axis, projector: int
 ) -> Iterator[tuple[int, str, tuple[Frame, ...]]]:
-    """The finest period that goes with the coordinate of all else: where ``exp(j (phase - 2 pi u / period))`` adds up most."""
+    """The finest period that agrees with the coordinate of all others: where ``exp(j (phase - 2 pi u / period))`` adds up most."""
     *_, finest = fringe_sets(stack.patterns, projector).get(axis, (None,))
     if finest is None:
         return

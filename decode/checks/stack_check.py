@@ -91,7 +91,7 @@ def check(
     rewritten = {axis for p, axis in plain.sigma_factor if p == projector}
     for axis, sets in fringe_sets(stack.patterns, projector).items():
         if axis in rewritten:
-            said = "every frame serves the one fit of all: see agreement"
+            said = "all frames are fitted together: see agreement"
             found.append(Finding(f"{axis} fringes, order", "unknown", said))
             continue
         for fringes in sets:

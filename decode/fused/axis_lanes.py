@@ -99,7 +99,7 @@ class AxisTracer:
         )
 
     def _cell(self, gray: gray_cells.GraySet, samples: list[Samples]) -> gray_cells.GrayCell:
-        """The Gray cell of every pixel; where the code has no thresholds of its own, the fringes' offset serves."""
+        """The Gray cell of every pixel; where the code has no thresholds of its own, the fringes' offset is used."""
         offsets = None
         if samples:
             offsets = [samples[-1].phasor(e).offset for e in range(len(self.stack.exposure_ms))]

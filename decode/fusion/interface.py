@@ -219,7 +219,7 @@ class FusionRule(ABC):
         Raises
         ------
         DecodeError
-            The rule cannot serve this stack.
+            The rule cannot be used with this stack.
         """
         return self
 
@@ -235,7 +235,7 @@ class FusionRule(ABC):
         Returns
         -------
         Phasor
-            Offset and phasor in DN and the phase's predicted variance in rad^2; `usable` False where no exposure serves.
+            Offset and phasor in DN and the phase's predicted variance in rad^2; `usable` False where no exposure can be used.
         """
 
 

@@ -99,7 +99,7 @@ def precisions(samples: Samples, counts: Sequence[Lanes], above: Sequence[Lanes]
 
     The step's brightness is its own: ``E = D / T`` with ``D = sum_k (I_k - d)`` and ``T = sum_k t_k`` over the samples that
     count, which is best in pure shot noise. So the precision is ``T / (constant_k T / t_k + slope_k D)``, one division
-    where E would be another; and one serves several exposures. Dividing was half the time of decoding.
+    where E would be another; and one is enough for several exposures. Dividing was half the time of decoding.
     """
     dr, device, t = samples.device.dr, samples.device, times(samples)
     if not any(slope for _, slope in samples.noise):

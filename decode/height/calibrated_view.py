@@ -105,7 +105,7 @@ class CalibratedView:
         return float(np.median(np.abs(slope)))
 
     def locating_rig(self, arithmetic: Arithmetic = NUMPY) -> Rig:
-        """The rig for a kernel that only asks where heights are seen: fringes along the baseline serve for that too."""
+        """The rig for a kernel that only asks where heights are seen: fringes along the baseline can be used for that too."""
         return replace(self.rig, arithmetic=arithmetic)
 
     def kernel_rig(self, axis: Axis, arithmetic: Arithmetic = NUMPY) -> Rig:

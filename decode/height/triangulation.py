@@ -30,7 +30,7 @@ def triangulate(
         Camera and projectors; its camera has as many pixels as the coordinates.
     row_px
         Projector row of each camera pixel, like `column_px`. With both, heights are averaged with the weights
-        ``(d coordinate / d height)^2``, which is best for equal noise in both; where one is NaN, the other serves.
+        ``(d coordinate / d height)^2``, which is best for equal noise in both; where one is NaN, the other is used.
     projector
         Index of the projector.
 

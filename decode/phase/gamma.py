@@ -63,7 +63,7 @@ class Harmonics:
 
 
 def harmonics(stack: Stack, fringes: FringeSet, exposure: int = 0) -> Harmonics:
-    """Harmonics of one fringe set over well-modulated, unsaturated pixels; NaN where fewer than a thousand serve.
+    """Harmonics of one fringe set over well-modulated, unsaturated pixels; NaN where fewer than a thousand are left.
 
     With four steps or more from the samples' departure from a sinusoid; with three, which any sinusoid fits, from the
     histogram of the phase, which gamma gives three maxima (this needs several fringes across the image).

@@ -132,7 +132,7 @@ class EpipolarGrid:
         known &= jump <= max(EDGE * float(jump[known].mean()), 1.5 * cell_px)
         lines, at = np.nonzero(known)
         one, other = one[known], other[known]
-        # One number for row and coordinate, so that one sorted list serves all rows.
+        # One number for row and coordinate, so that one sorted list is enough for all rows.
         lowest = min(float(np.nanmin(image)), float(wanted_px[pixel].min())) - 1.0
         far = max(float(np.nanmax(image)), float(wanted_px[pixel].max())) - lowest + 2.0
         keys = row[pixel] * far + (wanted_px[pixel] - lowest)

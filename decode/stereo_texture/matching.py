@@ -24,7 +24,7 @@ from scenes.support.memory import room_for
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Side of the blocks compared, px. A block must tell one place from some 64 others, 6 bits, with some to spare. Of dots of 2.2 px
+# Side of the blocks compared, px. A block must distinguish one place from some 64 others, 6 bits, with some to spare. Of dots of 2.2 px
 # a block of 7 holds 10. Smoothness helps semi-global matching; a block alone needs more.
 BLOCK_PX: dict[Matcher, int] = {"sgbm": 7, "bm": 15}
 # Penalties of a step of one and of more disparities, as OpenCV advises: times the block's area.

@@ -46,7 +46,7 @@ class Rectified:
     def of(
         cls, left: Projection, right: Projection, heights_mm: tuple[float, float]
     ) -> "Rectified":
-        """The rectification that serves points between two heights; `DecodeError` where the cameras cannot see them."""
+        """The rectification for points between two heights; `DecodeError` where the cameras cannot see them."""
         way = right.origin_mm - left.origin_mm
         x = way / np.linalg.norm(way)
         z = left.axis + right.axis

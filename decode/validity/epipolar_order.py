@@ -34,7 +34,7 @@ GRID = 5
 # Sideways px per px along a line: lines steeper than this run in all directions, from a projector next to the camera's
 # axis, and are not followed.
 STEEPEST = 2.0
-# Sideways px per px below which a row or column of the image serves as an epipolar line.
+# Sideways px per px below which a row or column of the image is taken for an epipolar line.
 STRAIGHT = 0.15
 
 

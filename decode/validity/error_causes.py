@@ -3,7 +3,7 @@
 A mixed pixel sees two heights and reports one between or beyond them, so its neighbours differ from it by more than noise and
 slope explain. Indirect light carries coarse fringes better than fine ones (Nayar et al. 2006): it takes modulation from the
 finest fringes, and turns their phase by up to the modulation lost over that left. Where a whole surface shows a sign, as grains
-and rough metal do, the sign does not tell which pixels are wrong, only by how much they are: the sigma grows, and none is
+and rough metal do, the sign does not show which pixels are wrong, only by how much they are: the sigma grows, and none is
 rejected. Measured in docs/decoding.md.
 """
 
@@ -114,7 +114,7 @@ def across_projectors(rec: Reconstruction) -> Reconstruction:
 
 
 def _mixed(rec: Reconstruction, valid: Mask) -> tuple[Image, Image, Mask]:
-    """Sigma from differences to neighbours in mm; the part of it by which a pixel stands out of a region that is smoother,
+    """Sigma from differences to neighbours in mm; the part of it by which a pixel exceeds a region that is smoother,
     else 0; and where neighbours do not differ; each (row, col)."""
     deviation, noise_mm = _deviation(rec, valid)
     own, sure, usual = (_beyond(deviation, k * noise_mm) for k in (NOISE, SURE_NOISE, USUAL_NOISE))

@@ -3,7 +3,7 @@
 Stray light carries fringes too, and a long exposure lifts them far above the noise: in an HDR stack of a board with solder
 they decode, agree over all periods, and are wrong by millimetres. They are recognised by how little light they have: a few
 hundredths of what black ink sends back. So the modulation per time of exposure is compared with the image's typical one
-(`level`, `typical`), and around the shadow thus found with its neighbours' (`borders`). Brighter stray light is found by the
+(`level`, `typical`), and around the shadow found in this way with its neighbours' (`borders`). Brighter stray light is found by the
 order of its coordinates: `decode.validity.epipolar_order`.
 """
 

@@ -176,7 +176,7 @@ class _View:
     """(row, col, 2) world point of each pixel on the pads' surface."""
     valid: Mask
     saturated: Mask
-    """Rejected for want of an exposure without clipping."""
+    """Rejected because no exposure is free of clipping."""
     filled: Floats
     """Heights, invalid ones taken from the nearest valid pixel."""
     pixel_mm2: Floats

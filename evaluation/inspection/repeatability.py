@@ -79,7 +79,7 @@ class GaugeStudy:
 
     @property
     def distinct_categories(self) -> int:
-        """How many classes of parts it can tell apart, 1.41 PV/GRR; 5 or more are wanted."""
+        """How many classes of parts it can distinguish, 1.41 PV/GRR; 5 or more are wanted."""
         return int(np.sqrt(2.0) * self.pv / self.grr) if self.grr else 0
 
     def to_dict(self) -> dict[str, Any]:

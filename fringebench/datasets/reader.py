@@ -1,6 +1,6 @@
 """Read a data set: `Dataset(path)[i]` is a sample whose files are opened when they are asked for.
 
-Map-style, as PyTorch's ``DataLoader`` wants it, without torch: it has ``__len__`` and ``__getitem__`` and can be pickled.
+Map-style, as PyTorch's ``DataLoader`` expects it, without torch: it has ``__len__`` and ``__getitem__`` and can be pickled.
 """
 
 from __future__ import annotations
@@ -187,7 +187,7 @@ class Dataset(Generic[T]):
         return len(self.records)
 
     def __getitem__(self, i: int) -> T:
-        """Sample `i`, counted among these; `IndexError` beyond the last, as iteration wants it."""
+        """Sample `i`, counted among these; `IndexError` beyond the last, as iteration expects."""
         sample = Sample(self.records[i], self._store)
         return self._transform(sample) if self._transform else sample  # type: ignore[return-value]
 

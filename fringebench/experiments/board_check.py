@@ -16,7 +16,7 @@ from scenes.board.gerber.second_reader import second_area
 from scenes.board.pad_layout import Area
 from scenes.support.errors import FileError
 
-# Areas of two readers may differ by this share; what is left is the corners that stand for circles.
+# Areas of two readers may differ by this share; what is left is the corners that replace circles.
 AGREE = 0.002
 COLOURS = {"outline": "#d8e3d0", "copper": "#c98f4d", "mask": "#f0d9a8", "paste": "#5a5f66"}
 

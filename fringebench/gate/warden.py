@@ -23,7 +23,7 @@ PROC = Path("/proc")
 
 
 class Stopped(Exception):
-    """The caller wants the end."""
+    """The caller asked for the end."""
 
 
 def _stop(_signal: int, _frame: FrameType | None) -> None:

@@ -1,6 +1,6 @@
 """Where light paths leave the first surface for: learnt directions, one table for each tile of the camera's image.
 
-Nearly all the noise of a fringe image is indirect light. Most surfaces stand open: on a plate one bounce in thirty
+Nearly all the noise of a fringe image is indirect light. Most surfaces are open: on a plate one bounce in thirty
 meets a lit neighbour, the others leave for the sky, and that one lands on any phase of the fringe. `render.pathtracer.tile_survey`
 looks around from every tile before the pass, and of eight paths up to seven are then drawn from what it found, the
 rest by the BSDF. Both kinds are weighed together (balance heuristic: Veach and Guibas 1995, "Optimally combining

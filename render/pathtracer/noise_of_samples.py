@@ -1,6 +1,6 @@
 """Noise of a pass of given samples, from one pixel in eight that is traced a second time.
 
-The samples of a pixel are stratified together, so they show no scatter that would tell how far their mean is off. A second,
+The samples of a pixel are stratified together, so they show no scatter from which the error of their mean would follow. A second,
 independent set of as many does: half the square of the difference of two phases is the variance of one, whatever the law. It
 costs an eighth of the pass and leaves its light alone. In between, light is as noisy as in the nearest such pixel of the label.
 """

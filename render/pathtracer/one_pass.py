@@ -48,7 +48,7 @@ def trace(
     no device has a lens; they lie in pairs opposite about the pixel's centre, which makes the phase of direct light
     nearly free of noise (`scenes.Sampling.samples` has the figures). Light of up to `depth` surface vertices (None: the scene's; 1: direct
     light only) is followed by a quarter as many paths to as many again, on average over the image: the fewer, the
-    better a quick look around tells where they should go, and most of them where most light is indirect.
+    better a quick survey finds where they should go, and most of them where most light is indirect.
 
     The same seed gives the same bits on one machine. `footprint` narrows the pixels about their centres, 0 to points:
     to see what their width costs. `progress` is called every second or so with the share that is done.
@@ -103,7 +103,7 @@ def _traced(
     direct = np.zeros_like(total)
     ambient = np.zeros((height, width), np.float32)
     most = max(1, TILE_NUMBERS // (width * (2 * sum(channels) + 1)))
-    # Tiles change nothing but this: a lane knows its pixel, not its tile. The first one tells what a row costs.
+    # Tiles change nothing but this: a lane knows its pixel, not its tile. The first one shows what a row costs.
     rows = min(most, max(1, FIRST_TILE_PATHS // (width * samples)))
     bottom = 0
     while bottom < height:

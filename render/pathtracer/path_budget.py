@@ -153,7 +153,7 @@ def _sum(variances: Floats) -> float:
 def _smooth_indirect(pilot: Pilot) -> tuple[Floats, Floats]:
     """(row, col) mean indirect light of a pixel's neighbours of the same label, with and without that of the pixel itself.
 
-    The latter serves to find how many paths there must be: a pixel whose pilot met a bright path shows both more light and
+    The latter is used to find how many paths there must be: a pixel whose pilot met a bright path shows both more light and
     more scatter than it has, and the one must not excuse the other.
     """
     light, others = np.zeros(pilot.label.shape), np.zeros(pilot.label.shape)

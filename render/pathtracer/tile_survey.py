@@ -52,7 +52,7 @@ UNAIMED = 0.5
 LEAST, SAFETY = 0.25, 1.5
 # Paths of a pixel on average, at least, unless it has fewer samples: of one or two none could be aimed.
 FEWEST_PATHS = 4
-# From this scatter of direct light within a tile on, relative to its mean, and of normals, edges and grain want many
+# From this scatter of direct light within a tile on, relative to its mean, and of normals, edges and grain need many
 # places in a pixel.
 BUSY = 0.1
 

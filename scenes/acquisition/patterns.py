@@ -208,7 +208,7 @@ OnePatterns = Annotated[
 
 
 class PatternSeries(Frozen):
-    """Several patterns, one after the other: light that is traced for all of them serves each (`render.expose`).
+    """Several patterns, one after the other: light that is traced for all of them is enough for each (`render.expose`).
 
     Examples
     --------

@@ -170,7 +170,7 @@ class GrayFrames(Frozen):
     code: Literal["reflected", "plain"] = "reflected"
     """Reflected: Gray code, in which neighbouring cells differ by one bit; plain: the binary number itself."""
     inverse: Literal["after-each", "after-all", "none"] = "after-each"
-    """Where the inverted frames stand."""
+    """Where the inverted frames are in the sequence."""
     order: Literal["coarse-first", "fine-first"] = "coarse-first"
     """Which bit comes first."""
 

@@ -44,7 +44,7 @@ class SecondView(Frozen):
 
 
 class Manifest(Frozen):
-    """What a manifest says, as it stands in the file."""
+    """What a manifest says, as written in the file."""
 
     files: Annotated[tuple[str, ...], Field(min_length=1)]
     """Names or globs, relative to the manifest's folder, in the order shown; a glob's matches in natural order. They may be
@@ -92,7 +92,7 @@ class Manifest(Frozen):
         return self
 
     @model_validator(mode="after")
-    def _sets_are_told_apart(self) -> Self:
+    def _sets_differ(self) -> Self:
         sets = [(i, shown) for i, shown in enumerate(self.frames) if isinstance(shown, Fringes)]
         for n, (j, later) in enumerate(sets):
             for i, first in sets[:n]:

@@ -156,7 +156,7 @@ def _check_unused(
         alike = [name for name in unused if _is_distortion(nodes[name])]
         if part in chosen or part in own or not alike:
             continue
-        # "M4" goes with "D4": the name that shares most with the matrix' is named first.
+        # "M4" belongs to "D4": the name that shares most with the matrix' is named first.
         matrix = chosen[part.replace("distortion", "matrix")]
         alike.sort(key=lambda name: -len(set(name) & set(matrix)))
         raise FileError(

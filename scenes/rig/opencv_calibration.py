@@ -26,7 +26,7 @@ from scenes.support.errors import FileError
 from scenes.support.frozen import Frozen
 from scenes.support.validation_words import in_words
 
-# A working volume where nothing tells: structured light is rarely used nearer or farther than this many baselines.
+# A working volume where nothing states it: structured light is rarely used nearer or farther than this many baselines.
 DEPTH_IN_BASELINES = (0.5, 50.0)
 
 

@@ -75,9 +75,9 @@ def test_texts_use_plain_words(folder: str) -> None:
     for path in _texts():
         place = path.relative_to(ROOT)
         if (place.parts[0] if len(place.parts) > 1 else ".") == folder:
-            # A phrase may run over the end of a line.
+            # A phrase may run over the end of a line, or be a name.
             text = path.read_text("utf-8")
-            for match in WORD.finditer(re.sub(r"\s", " ", text)):
+            for match in WORD.finditer(re.sub(r"[\s_]", " ", text)):
                 line = text.count("\n", 0, match.start()) + 1
                 found.append(f"{place}:{line}: {match.group()}")
     assert not found, "\n".join(found)

@@ -210,7 +210,9 @@ def outcomes(
         control = ["tests/evaluation/gate/test_equivalence.py"]
         if os.waitpid(forked(free[0], control), 0)[1]:
             log = (free[0] / ".log").read_text("utf-8", "replace")
-            raise SystemExit(f"tests fail without a change, so that none could tell:\n{log}")
+            raise SystemExit(
+                f"tests fail without a change, so that no mutant could be noticed:\n{log}"
+            )
         running: dict[Path, Trial] = {}
         while waiting or running:
             while waiting and free:

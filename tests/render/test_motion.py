@@ -40,7 +40,7 @@ def taken(light: render.Transport, times_ms: list[float], **how: Any) -> Floats:
 
 @pytest.mark.parametrize(("right", "up"), [(2, 0), (0, -1), (-3, 2)])
 def test_motion_by_whole_pixels_shifts_evenly_lit_frames_by_as_many(right: int, up: int) -> None:
-    """The mean of four steps is the light of an even projector, which goes with the scene: shadows, edges and all."""
+    """The mean of four steps is the light of an even projector, which moves with the scene: shadows, edges and all."""
     shape = {"kind": "gray-code", "bits": (1,), "cell_px": 64.0, "inverted": False}
     scene = moving((right * PIXEL_UM, up * PIXEL_UM), patterns=shape)
     light = render.trace(scene, samples=256)

@@ -108,8 +108,8 @@ def test_a_pixel_next_to_shadow_may_have_the_height_of_its_lit_part() -> None:
     # One pixel of the plane changes the projector's column by so much, and 1 mm of height by so much.
     low, high = (decode.reconstruct(stack(mm)).phases["column"].coordinate_px for mm in (0.0, 1.0))
     one_pixel_mm = np.hypot(*np.gradient(low)).mean() / np.abs(high - low).mean()
-    for beside in (39, 44):
-        sigma = np.median(rec.cause_sigma_mm["mixed"][:, beside])
+    for column in (39, 44):
+        sigma = np.median(rec.cause_sigma_mm["mixed"][:, column])
         assert sigma == pytest.approx(0.2 * one_pixel_mm, rel=0.15)
     assert (rec.cause_sigma_mm["mixed"][:, 46:] > 0).mean() < 0.02
 

@@ -189,7 +189,7 @@ def test_metering_takes_the_longest_exposure_that_clips_nothing() -> None:
 
 
 def test_intensities_have_one_exposure_and_need_the_choice_by_modulation() -> None:
-    """`max-modulation` takes each pixel's brightest unclipped level in any order; exposure times, equal, cannot tell. On a
+    """`max-modulation` takes each pixel's brightest unclipped level in any order; exposure times, equal, do not show it. On a
     series of times both choose alike: modulation is proportional to time.
     """
     times = (10.0, 20.0, 8000.0)
@@ -267,8 +267,8 @@ def test_difference_within_the_interval_is_a_tie() -> None:
     )
     result = StrategyComparison("s", 4, 0, 1, 0.1, LIMITS, rows, ())
     assert result.best("equal-time", "base") == ("best", "other-noise")
-    told = result.to_dict()["strategies"]
-    assert [s["regions"]["base"]["best_or_tied"] for s in told] == [True, False, True, False]
+    listed = result.to_dict()["strategies"]
+    assert [s["regions"]["base"]["best_or_tied"] for s in listed] == [True, False, True, False]
 
 
 def test_one_repeat_establishes_nothing() -> None:

@@ -1,4 +1,4 @@
-"""Features of analytic shapes, held to the covariance of their fits."""
+"""Features of analytic shapes, compared with the covariance of their fits."""
 
 from dataclasses import replace
 

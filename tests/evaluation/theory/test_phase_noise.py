@@ -1,4 +1,4 @@
-"""Theory of phase noise, held to closed forms and to simulation."""
+"""Theory of phase noise, compared with closed forms and with simulation."""
 
 import numpy as np
 import pytest
