@@ -1,7 +1,9 @@
 """Reading a camera's image files as planes of digital numbers: PNG, TIFF, BMP, JPEG; 8 to 16 bit; one channel."""
 
 import io
+import os
 import re
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -27,7 +29,7 @@ LUMA = np.array([0.114, 0.587, 0.299], dtype=np.float32)
 def find(folder: Path, names: Sequence[str], suffixes: Sequence[str] = SUFFIXES) -> list[Path]:
     """Files in the order shown: each name is a file, or a glob whose matches are sorted in natural order.
 
-    Names are relative to `folder`; ``img2`` sorts before ``img10``. Raises `FileError` for a name that matches nothing, and
+    Names are relative to `folder`, which they may leave (``../img*.png``); ``img2`` sorts before ``img10``. Raises `FileError` for a name that matches nothing, and
     for a file named twice.
     """
     found: list[Path] = []
@@ -46,7 +48,9 @@ def find(folder: Path, names: Sequence[str], suffixes: Sequence[str] = SUFFIXES)
                 f"'{exact}' is missing: no {', '.join(suffixes)} file has that name or matches it as a pattern"
             )
         found += matches
-    twice = {path.name for path in found if found.count(path) > 1}
+    # One file by two names, such as "../scan/img1.png", is one frame; links to it are frames of their own.
+    places = Counter(os.path.abspath(path) for path in found)  # noqa: PTH100
+    twice = {Path(place).name for place, count in places.items() if count > 1}
     if twice:
         raise FileError(f"files listed twice in '{folder}': {sorted(twice)}; list each frame once")
     return found

@@ -195,6 +195,11 @@ def _stored(frames: NDArray[Any]) -> DTypeLike:
     return np.float16
 
 
+def _exact_in_half(stored: NDArray[Any], dtype: np.dtype[Any]) -> bool:
+    """Whether numbers of that type, of which these are left in half floats, were not rounded."""
+    return dtype.kind != "f" and not (stored > HALF_EXACT).any()
+
+
 def _frames(
     bands: Bands, exposures: int, count: int, dtype: np.dtype[Any], source: str
 ) -> NDArray[Any]:
@@ -215,6 +220,10 @@ def _frames(
             )
         for name, plane in zip(names, frames.reshape(-1, *bands.size), strict=True):
             stored = channels.pop(name)
+            if stored.dtype == np.float16 and not _exact_in_half(stored, dtype):
+                raise ValueError(
+                    f"channel {name} was converted to half floats, which do not hold {dtype} exactly"
+                )
             with np.errstate(invalid="ignore"):
                 plane[rows] = stored
             if dtype.kind != "f" and not np.array_equal(plane[rows], stored):

@@ -126,6 +126,7 @@ def test_skipped_images_are_left_out(tmp_path: Path) -> None:
         ),
         ({"exposures_ms": [1.0, 2.0]}, "4 frames at 2 exposures: add the missing 4"),
         ({"files": ["img1.png", "img*.png"]}, "listed twice"),
+        ({"files": ["img1.png", "../{folder}/img*.png"]}, r"listed twice.*\['img1.png'\]"),
         ({"bits": 12}, "8-bit numbers: set bits = 8"),
         ({"channel": "red"}, "is grey, but channel is 'red'"),
         ({"frame": []}, "unknown key 'frame': did you mean 'frames'"),
@@ -137,8 +138,21 @@ def test_skipped_images_are_left_out(tmp_path: Path) -> None:
 )
 def test_invalid_manifest_is_refused(tmp_path: Path, changes: dict[str, Any], said: str) -> None:
     write(tmp_path)
+    if "files" in changes:
+        changes = {"files": [name.format(folder=tmp_path.name) for name in changes["files"]]}
     with pytest.raises(FileError, match=said):
         load(tmp_path, **changes).stack()
+
+
+def test_patterns_may_leave_the_manifest_s_folder(tmp_path: Path) -> None:
+    """A user's own file names them, and nothing but images is read: it is allowed, as absolute paths are."""
+    (tmp_path / "images").mkdir()
+    (tmp_path / "setup").mkdir()
+    counts = write(tmp_path / "images")
+    absolute = [str(tmp_path / "images" / f"img{i}.png") for i in (1, 2, 3, 4)]
+    for files in (["../images/img*.png"], absolute):
+        found = load(tmp_path / "setup", files=files).stack().frames[0]
+        np.testing.assert_array_equal(found, counts)
 
 
 def test_mixed_sizes_depths_and_broken_files_are_refused(tmp_path: Path) -> None:

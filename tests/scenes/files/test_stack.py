@@ -179,6 +179,20 @@ def test_values_that_are_not_counts_are_a_file_error(tmp_path: Path, value: floa
         Stack.read(path)
 
 
+@pytest.mark.parametrize(("dtype", "value"), [("float32", 7.5), ("uint16", 2050.0)])
+def test_frames_that_another_program_rounded_to_half_are_a_file_error(
+    tmp_path: Path, dtype: str, value: float
+) -> None:
+    """2049 becomes 2048 and 2051 becomes 2052: whole numbers above 2048 say that bits were lost."""
+    path = tmp_path / "s.exr"
+    stack(np.full((1, 3, 5, 6), value).astype(dtype), SimpleSensor(bits=0)).write(path)
+    channels, meta = exr.read(path, "stack")
+    del meta["format"], meta["version"]
+    exr.write(path, "stack", {name: c.astype(np.float16) for name, c in channels.items()}, meta)
+    with pytest.raises(FileError, match=f"half floats, which do not hold {dtype} exactly"):
+        Stack.read(path)
+
+
 def test_missing_frame_is_a_file_error(tmp_path: Path) -> None:
     path = tmp_path / "s.exr"
     stack(np.zeros((2, 4, 5, 6), np.uint16)).write(path)
