@@ -185,7 +185,7 @@ def _from_exr(path: Path) -> Any:
     channels, meta = exr.load(path)
     if meta is not None and meta.get("format") == "reconstruction":
         rec = Reconstruction.read(path)
-        return rec.height_mm, rec.valid, rec.sigma_mm
+        return rec.height_mm, rec.valid, rec.total_sigma_mm
     name = next((n for n in HEIGHT_CHANNELS if n in channels), None)
     if name is None and len(channels) == 1:
         name = next(iter(channels))

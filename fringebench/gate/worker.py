@@ -68,7 +68,9 @@ def _answered(function: Callable[[Any], Any], stack: Any, place: Path) -> dict[s
 def parts_of(given: Any) -> list["np.ndarray[Any, np.dtype[Any]]"]:
     """Heights, and mask and sigma if given, as plain arrays; raises `TypeError` for anything else."""
     if all(hasattr(given, name) for name in ("height_mm", "valid", "sigma_mm")):
-        given = (given.height_mm, given.valid, given.sigma_mm)
+        # Of all causes, where a decoder predicts more than the sensor's noise.
+        sigma = getattr(given, "total_sigma_mm", given.sigma_mm)
+        given = (given.height_mm, given.valid, sigma)
     parts = given if isinstance(given, tuple) else (given,)
     if not 1 <= len(parts) <= len(PARTS):
         raise TypeError(

@@ -3,16 +3,19 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import decode
 from evaluation.gate.regression import Margins
 from fringebench.gate.baseline import Baseline
 from fringebench.gate.cases import CASES, Case, shipped_fingerprint, suite
 from fringebench.gate.decoders import resolve
 from fringebench.gate.regression_gate import SEEDS, regress
+from scenes import Stack
 from scenes.support.errors import DecoderError, FileError
 from tests.fringebench import faulty_decoders
 
@@ -145,6 +148,7 @@ def test_decoder_that_cannot_be_run_is_named(
 
 PROGRAM = """
 import sys
+from dataclasses import replace
 import numpy as np, cv2
 import decode
 from scenes import Stack
@@ -159,8 +163,14 @@ if output.endswith(".npy"):
 elif output.endswith(".tif"):
     cv2.imwrite(output, heights)
 else:
-    rec.write(output)
+    replace(rec, cause_sigma_mm={"mixed": 2.0 * rec.sigma_mm}).write(output)
 """
+
+
+def by_cause(stack: Stack) -> decode.Reconstruction:
+    """Predicts twice the sensor's noise from another cause."""
+    rec = faulty_decoders.honest(stack)
+    return replace(rec, cause_sigma_mm={"mixed": 2.0 * rec.sigma_mm})
 
 
 @pytest.mark.parametrize(
@@ -181,6 +191,11 @@ def test_program_gives_the_heights_a_callable_gives(
     ours = resolve(faulty_decoders.honest)(stack)
     np.testing.assert_allclose(theirs.height_mm, ours.height_mm, atol=1e-5)
     assert (theirs.sigma_mm is None) == (suffix == ".tif")
+    if suffix == ".exr":
+        # The sigma of all causes: the root of 1 + 2^2 times the sensor's.
+        for answer in (theirs, resolve(by_cause)(stack)):
+            assert answer.sigma_mm is not None and ours.sigma_mm is not None
+            np.testing.assert_allclose(answer.sigma_mm, np.sqrt(5.0) * ours.sigma_mm, rtol=1e-5)
 
 
 def test_unusable_baselines_are_refused(sweep: tuple[Case, ...], tmp_path: Path) -> None:
