@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from enum import StrEnum
 
 from rich.console import Console
@@ -18,7 +19,8 @@ from rich.progress import (
 
 from fringebench.interrupts import deferred_interrupt
 
-# Seconds between plain lines, and before the first one when the output is piped and lines were not requested.
+# Seconds between plain lines, and from the first step to the first line when the output is piped and lines were not
+# requested.
 PLAIN_S = 3.0
 PIPED_S = 30.0
 
@@ -46,7 +48,7 @@ class Mode(StrEnum):
     """How progress is shown."""
 
     AUTO = "auto"
-    """Bars on a terminal; when piped, lines for steps that take longer than half a minute."""
+    """Bars on a terminal; when piped, lines for work that takes longer than half a minute."""
     PLAIN = "plain"
     """Lines every few seconds."""
     NONE = "none"
@@ -66,6 +68,7 @@ class Steps:
     def __init__(self, console: Console | None = None, mode: Mode = Mode.AUTO) -> None:
         self._console, self._mode = console, mode
         self._bars: Progress | None = None
+        self._pace: _Pace | None = None
         self.seconds: dict[str, float] = {}
         """Time that each finished step took."""
 
@@ -92,7 +95,9 @@ class Steps:
             with self._bar(self._console, name, resumes) as show:
                 yield show
         else:
-            with _lines(self._console, name, resumes, self._mode is Mode.PLAIN) as show:
+            # Many short steps are long work too: without a request, they share the wait for the first line.
+            self._pace = self._pace or _Pace(time.monotonic() + PIPED_S)
+            with _lines(self._console, name, resumes, self._mode is Mode.PLAIN, self._pace) as show:
                 yield show
 
     @contextmanager
@@ -140,13 +145,19 @@ def _progress_bars(console: Console) -> Progress:
     )
 
 
+@dataclass
+class _Pace:
+    """When the next plain line is due."""
+
+    due_s: float
+
+
 class _Lines:
     """Progress of one step as plain lines, every few seconds."""
 
-    def __init__(self, console: Console, name: str, resumes: bool, wait_s: float) -> None:
-        self._console, self._name = console, name
+    def __init__(self, console: Console, name: str, resumes: bool, pace: _Pace) -> None:
+        self._console, self._name, self._pace = console, name, pace
         self._start = time.monotonic()
-        self._due = self._start + wait_s
         self._first = None if resumes else 0.0
 
     def report(self, share: float, detail: str = "") -> None:
@@ -154,25 +165,27 @@ class _Lines:
         now = time.monotonic()
         if self._first is None:
             self._first = share
-        if now < self._due or share <= self._first:
+        if now < self._pace.due_s or share <= self._first:
             return
-        self._due = now + PLAIN_S
         left_s = (now - self._start) * (1.0 - share) / (share - self._first)
         self.say(
             ", ".join(filter(None, (f"{100 * share:.0f} %", detail, f"about {left_s:.0f} s left")))
         )
 
     def say(self, text: str) -> None:
-        """Print a line."""
+        """Print a line; the next report is due some seconds later."""
+        self._pace.due_s = time.monotonic() + PLAIN_S
         self._console.print(f"{self._name}: {text}", highlight=False, markup=False, soft_wrap=True)
 
 
 @contextmanager
-def _lines(console: Console, name: str, resumes: bool, requested: bool) -> Iterator[Show]:
-    """Lines from the start if they were requested, else only if the step takes long."""
-    lines = _Lines(console, name, resumes, PLAIN_S if requested else PIPED_S)
+def _lines(
+    console: Console, name: str, resumes: bool, requested: bool, pace: _Pace
+) -> Iterator[Show]:
+    """Lines from the start if they were requested, else only once the work takes long."""
     start = time.monotonic()
-    if requested:
+    lines = _Lines(console, name, resumes, _Pace(start + PLAIN_S) if requested else pace)
+    if requested or start >= pace.due_s:
         lines.say("started")
     yield lines.report
     if requested:

@@ -13,7 +13,7 @@ import pytest
 
 if TYPE_CHECKING:
     from fringebench.gate.cases import Case
-    from fringebench.gate.regression_gate import Regression
+    from fringebench.gate.regression_result import Regression
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

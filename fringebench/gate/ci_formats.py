@@ -10,7 +10,7 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 from evaluation.gate.regression import NOT_JUDGED
-from fringebench.gate.regression_gate import Regression
+from fringebench.gate.regression_result import Regression
 from fringebench.gate.wording import sentence, short_name
 from scenes.support.atomic_file import replacing
 from scenes.support.errors import FileError
@@ -35,10 +35,12 @@ def write_junit(result: Regression, path: str | Path) -> None:
 
 
 def github_annotations(result: Regression) -> Iterable[str]:
-    """Workflow commands of GitHub Actions: an error for each figure that got worse, a notice when all passed."""
-    for row in result.failed:
-        title = _property(f"{row.case} / {row.region}: {short_name(row.metric)}")
-        yield f"::error title={title}::{_data(sentence(row, result.where(row)))}"
+    """Workflow commands of GitHub Actions: an error for each region that failed, worst first, as only ten of a step are
+    shown; a notice when all passed.
+    """
+    for failure in result.failures():
+        title = _property(f"{failure.worst.case} / {failure.worst.region}")
+        yield f"::error title={title}::{_data(failure.sentence())}"
     if result.rows and result.passed:
         yield f"::notice title=fringebench::{_data(result.decoder)} passed {len(result.rows)} figures"
 

@@ -1,26 +1,20 @@
 """The gate for decoders: run one over the cases, compare its figures with a baseline's, and say what got worse."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import decode
-from evaluation.gate.regression import (
-    Figures,
-    JudgedFigure,
-    Margins,
-    compare_with_baseline,
-    measure,
-)
+from evaluation.gate.regression import Figures, Margins, compare_with_baseline, measure
 from fringebench.gate.baseline import Baseline, mostly_missing
 from fringebench.gate.cached_light import chosen_folder
 from fringebench.gate.cases import Case, fingerprint, plane_stack, scene_cases, suite, sweep
 from fringebench.gate.decoders import TIMEOUT_S, Decoder, resolve
-from fringebench.gate.error_maps import ErrorMaps, WorstPixel, place, worst_pixels
-from fringebench.gate.wording import sentence
+from fringebench.gate.error_maps import ErrorMaps, place, worst_pixels
+from fringebench.gate.regression_result import Regression
 from fringebench.progress import StepProgress, Steps
 from scenes import Scene, Stack, load
 from scenes.support.errors import DecoderError, FileError, FringebenchError
@@ -28,68 +22,6 @@ from scenes.support.errors import DecoderError, FileError, FringebenchError
 SEEDS = tuple(range(16))
 CONFIDENCE = 0.95
 OWN = "decode:reconstruct"
-
-
-@dataclass(frozen=True)
-class Regression:
-    """What a run of the gate found."""
-
-    decoder: str
-    baseline: str
-    """Whose figures these were compared with."""
-    rows: tuple[JudgedFigure, ...]
-    figures: dict[str, Figures] = field(repr=False)
-    updated: bool = False
-    """Whether the figures were stored as the new baseline."""
-    places: Mapping[tuple[str, str, str], str] = field(default_factory=dict, repr=False)
-    """(case, region, metric) of what failed -> where in the image, in words."""
-    maps: Mapping[str, ErrorMaps] = field(default_factory=dict, repr=False, compare=False)
-    """Error maps of each case."""
-    baseline_maps: Mapping[str, ErrorMaps] = field(default_factory=dict, repr=False, compare=False)
-    """Those of the baseline, for the cases that failed, where they are known."""
-    worst: tuple[WorstPixel, ...] = field(default=(), repr=False)
-    """The worst pixels of what failed, with what the camera saw there."""
-
-    @property
-    def failed(self) -> tuple[JudgedFigure, ...]:
-        """Figures that got worse, or are not shown to have stayed the same."""
-        return tuple(row for row in self.rows if not row.comparison.passed)
-
-    @property
-    def improved(self) -> tuple[JudgedFigure, ...]:
-        """Figures that got better by more than the margin."""
-        return tuple(row for row in self.rows if row.comparison.verdict == "better")
-
-    @property
-    def passed(self) -> bool:
-        """Whether nothing failed."""
-        return not self.failed
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
-        return {
-            "decoder": self.decoder,
-            "baseline": self.baseline,
-            "passed": self.passed,
-            "updated": self.updated,
-            "rows": [self._plain(row) for row in self.rows],
-            "worst_pixels": [asdict(pixel) for pixel in self.worst],
-        }
-
-    def _plain(self, row: JudgedFigure) -> dict[str, Any]:
-        tree = asdict(row)
-        for side in ("new", "old"):
-            del tree[side]["values"]
-        where = self.where(row)
-        return tree | ({"where": where} if where else {})
-
-    def where(self, row: JudgedFigure) -> str:
-        """Place of a failed figure in the image, in words; empty where it passed."""
-        return self.places.get((row.case, row.region, row.metric), "")
-
-    def describe(self) -> str:
-        """One line for each figure that failed: case, region, how much, where."""
-        return "\n".join(sentence(row, self.where(row)) for row in self.failed)
 
 
 def regress(
@@ -195,7 +127,7 @@ def regress(
     if old is None:
         assert target is not None  # Otherwise there is something to compare with.
         _store(new, target, force)
-        return Regression(name, f"{target} (new)", (), figures, True, {}, maps)
+        return Regression(name, f"{target} (new)", tuple(seeds), (), figures, True, maps=maps)
     rows = [
         row
         for case in cases
@@ -218,6 +150,7 @@ def regress(
     return Regression(
         name,
         old.decoder if target is None else str(target),
+        tuple(seeds),
         tuple(rows),
         figures,
         store,

@@ -35,13 +35,12 @@ def scaled(metric: str) -> tuple[float, str]:
 
 
 def number(value: float) -> str:
-    """Three significant digits, no exponent for what a person reads.
+    """Two decimals: hundredths of a per cent, or 10 nm.
 
-    >>> number(0.012345), number(1234.5), number(-0.0)
-    ('0.0123', '1234', '0')
+    >>> number(0.012345), number(1234.5), number(-0.001)
+    ('0.01', '1234.50', '0.00')
     """
-    text = f"{value + 0.0:.3g}"
-    return f"{value:.0f}" if "e" in text and abs(value) >= 1.0 else text
+    return f"{round(value, 2) + 0.0:.2f}"
 
 
 def sentence(row: JudgedFigure, where: str = "") -> str:

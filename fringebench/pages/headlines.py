@@ -7,6 +7,7 @@ from evaluation.hdr.comparison import StrategyComparison
 from evaluation.output.report import Headline
 from evaluation.scoring.error_budget import ErrorBudget
 from fringebench.experiments.textbook import ChapterResult
+from fringebench.gate.regression_result import Regression
 from fringebench.pages.score_tables import number
 
 # RMS error over predicted noise, above which a region is called wrong.
@@ -47,6 +48,25 @@ def _stereo_headline(score: evaluation.Score) -> Headline:
     worst = max(bad, key=bad.__getitem__)
     text = f"Missing or off by more than 1 px of disparity: at most {number(bad[worst], 100, 1)} % of the pixels ({worst})."
     return Headline(text, "bad" if bad[worst] > BAD_MATCHES else "good")
+
+
+def regress_headline(result: Regression) -> Headline:
+    """The verdict of the gate, and the worst of what failed with its place."""
+    if not result.rows:
+        return Headline(f"A new baseline was stored: {result.baseline}.", "attention")
+    count = len(result.rows)
+    failures = result.failures()
+    if not failures:
+        better = f"; {len(result.improved)} got better" if result.improved else ""
+        return Headline(
+            f"Passed: none of {count} figures is worse than {result.baseline}{better}.", "good"
+        )
+    regions = f"{len(failures)} region{'s' if len(failures) > 1 else ''}"
+    return Headline(
+        f"Failed: {len(result.failed)} of {count} figures, in {regions}, compared with {result.baseline}. Worst is "
+        f"{failures[0].sentence()}.",
+        "bad",
+    )
 
 
 def compare_headline(result: StrategyComparison) -> Headline:

@@ -10,14 +10,18 @@ from evaluation.gate.regression import JudgedFigure
 from evaluation.output.plots import UM_PER_MM, symmetric
 from evaluation.output.report import Block, Grid, Paragraph, Picture, Report, Section
 from evaluation.output.sheet import Panel, contact_sheet
-from fringebench.gate.regression_gate import Regression
-from fringebench.gate.wording import number, scaled, sentence, short_name
+from fringebench.gate.regression_result import RegionFailure, Regression, severity
+from fringebench.gate.wording import number, scaled, short_name
+from fringebench.pages.headlines import regress_headline
 from fringebench.pages.origin import provenance
 
 COLUMNS = ("figure", "baseline", "now", "change", "at most", "margin", "verdict")
 # Okabe and Ito's colours; black for what needs more seeds.
 COLOURS = {"worse": "#D55E00", "undecided": "#000000", "same": "#0072B2", "better": "#009E73"}
-BARS = 40
+BARS = 30
+# Changes beyond so many margins are drawn at the edge.
+FARTHEST = 100.0
+FAILED = "✗"
 # Figures plotted over the runs of a history.
 CURVES = 6
 
@@ -26,35 +30,38 @@ def regress_report(
     result: Regression, seconds: Mapping[str, float], history: Sequence[Mapping[str, Any]] = ()
 ) -> Report:
     """The page of a run of the gate; `history` holds the runs so far, oldest first, this one included."""
-    sections = [Section("Verdict", _verdict(result))]
-    if len(history) > 1:
+    sections = [Section("Verdict", _verdict(result))] if result.rows else []
+    if len(history) > 1 and result.rows:
         sections.append(Section("History", [_history(result, history)]))
     for case in dict.fromkeys(row.case for row in result.rows):
         rows = [row for row in result.rows if row.case == case]
-        bad = [i for i, row in enumerate(rows) if not row.comparison.passed]
-        blocks: list[Block] = [Grid(COLUMNS, [_cells(r) for r in rows], best=bad)]
+        bad = [row for row in rows if not row.comparison.passed]
+        blocks: list[Block] = []
         if bad and case in result.maps:
             blocks += [_maps(result, case), _worst_pixels(result, case)]
-        sections.append(Section(f"Case {case}", blocks))
-    sections.append(provenance("", None, seconds))
+        if bad:
+            cells = [_cells(row) for row in bad]
+            blocks.append(Grid(COLUMNS, cells, "What failed; undecided: give more seeds"))
+        sections.append(Section(f"Case {case}", [*blocks, _overview(rows)]))
+    about = provenance("", None, seconds)
+    seeds = Paragraph(f"Seeds of the noise: {', '.join(map(str, result.seeds))}.")
+    sections.append(Section(about.title, [seeds, *about.blocks]))
     return Report(
         f"fringebench: {result.decoder}",
         "A decoder compared with a baseline: errors, wrong fringe orders, claimed sigma, and missing pixels.",
         sections,
+        regress_headline(result),
     )
 
 
 def _verdict(result: Regression) -> list[Block]:
-    """The verdict first, then what failed and where, then all figures in a picture."""
-    if not result.rows:
-        return [Paragraph(f"A new baseline was stored: {result.baseline}.")]
-    failed = result.failed
-    count = f"{len(failed)} of {len(result.rows)} figures failed" if failed else "Passed"
-    blocks: list[Block] = [Paragraph(f"{count}, compared with {result.baseline}.")]
-    if failed:
-        said = [[sentence(row, result.where(row))] for row in sorted(failed, key=_excess)[::-1]]
-        blocks.append(Grid(("what failed, and where",), said, words=True))
-    ranked = sorted(result.rows, key=_excess, reverse=True)
+    """What failed and where, one line a region, then the figures in a picture."""
+    blocks: list[Block] = []
+    if failures := result.failures():
+        columns = ("region", "worst figure", "baseline → now", "allowed", "where", "failed too")
+        cells = [_failure_cells(failure) for failure in failures]
+        blocks.append(Grid(columns, cells, "What failed, and where: worst first", words=True))
+    ranked = sorted(result.rows, key=severity, reverse=True)
     blocks.append(
         Picture(
             _figure(ranked[:BARS]),
@@ -63,10 +70,40 @@ def _verdict(result: Regression) -> list[Block]:
             wide=True,
         )
     )
-    if failed:
-        worst = [_cells(row, f"{row.case} / ") for row in failed]
-        blocks.append(Grid(COLUMNS, worst, "What failed; undecided: give more seeds"))
     return blocks
+
+
+def _failure_cells(failure: RegionFailure) -> list[str]:
+    """A row of the table of what failed."""
+    row, test = failure.worst, failure.worst.comparison
+    scale, unit = scaled(row.metric)
+    old, new, margin = (number(scale * x) for x in (row.old.mean, row.new.mean, test.margin))
+    return [
+        f"{row.case} / {row.region}",
+        short_name(row.metric) + ("" if test.verdict == "worse" else f" ({test.verdict})"),
+        f"{old} → {new} {unit}",
+        f"+{margin} {unit}",
+        failure.where,
+        ", ".join(map(short_name, failure.others)) or "-",
+    ]
+
+
+def _overview(rows: Sequence[JudgedFigure]) -> Grid:
+    """All figures of a case, a column a region: the baseline's and today's."""
+    regions = list(dict.fromkeys(row.region for row in rows))
+    cells = {(row.metric, row.region): _pair(row) for row in rows}
+    lines = [
+        [f"{short_name(metric)} ({scaled(metric)[1]})"]
+        + [cells.get((metric, region), "-") for region in regions]
+        for metric in dict.fromkeys(row.metric for row in rows)
+    ]
+    return Grid(("figure", *regions), lines, f"All figures, baseline → now; {FAILED}: failed")
+
+
+def _pair(row: JudgedFigure) -> str:
+    scale, _ = scaled(row.metric)
+    mark = "" if row.comparison.passed else f"{FAILED} "
+    return f"{mark}{number(scale * row.old.mean)} → {number(scale * row.new.mean)}"
 
 
 def _maps(result: Regression, case: str) -> Picture:
@@ -122,10 +159,13 @@ def _worst_pixels(result: Regression, case: str) -> Grid:
 
 def _history(result: Regression, history: Sequence[Mapping[str, Any]]) -> Picture:
     """The figures that changed most, over the runs of a history."""
-    ranked = sorted(result.rows, key=_excess, reverse=True)[:CURVES]
+    ranked = sorted(result.rows, key=severity, reverse=True)[:CURVES]
     figure = Figure(figsize=(9.0, 1.4 * len(ranked) + 0.8), layout="constrained")
     grid = figure.subplots(len(ranked), 1, squeeze=False, sharex=True)[:, 0]
-    names = [str(run.get("commit") or run.get("time", ""))[:10] for run in history]
+    names = [
+        str(run.get("commit") or str(run.get("time", ""))[5:16].replace("T", " "))
+        for run in history
+    ]
     for axes, row in zip(grid, ranked, strict=True):
         scale, unit = scaled(row.metric)
         values = [_past(run, row) * scale for run in history]
@@ -153,25 +193,22 @@ def _past(run: Mapping[str, Any], row: JudgedFigure) -> float:
     return float(value) if isinstance(value, int | float) else float("nan")
 
 
-def _excess(row: JudgedFigure) -> float:
-    """Upper end of the change, in margins."""
-    return row.comparison.upper / row.comparison.margin
-
-
 def _figure(rows: Sequence[JudgedFigure]) -> Figure:
     """Changes with their intervals, one line a figure."""
     figure = Figure(figsize=(9.0, 1.2 + 0.2 * len(rows)), layout="constrained")
     axes = figure.subplots()
     for i, row in enumerate(rows):
         c = row.comparison
-        # Far beyond the margin the exact change no longer matters; the table has it.
         low, middle, high = np.clip(
-            np.divide([c.lower, c.difference, c.upper], c.margin), -5.0, 10.0
+            np.divide([c.lower, c.difference, c.upper], c.margin), -FARTHEST, FARTHEST
         )
         axes.plot([low, high], [i, i], color=COLOURS[c.verdict], linewidth=1.5)
         axes.plot(middle, i, "o", color=COLOURS[c.verdict], markersize=4)
     axes.set_yticks(range(len(rows)), [_name(row) for row in rows], fontsize=7)
     axes.invert_yaxis()
+    axes.margins(y=0.02)
+    axes.set_xscale("symlog", linthresh=1.0)
+    axes.xaxis.set_major_formatter("{x:g}")
     axes.axvline(1.0, color="#D55E00", linestyle="--", linewidth=1.0)
     axes.axvline(0.0, color="black", linewidth=0.8)
     axes.set_xlabel("change, in margins (worse to the right)")
@@ -183,10 +220,10 @@ def _name(row: JudgedFigure) -> str:
     return f"{row.case} / {row.region}: {short_name(row.metric)}"
 
 
-def _cells(row: JudgedFigure, case: str = "") -> list[str]:
+def _cells(row: JudgedFigure) -> list[str]:
     """A table row."""
     c = row.comparison
     scale, unit = scaled(row.metric)
     numbers = (row.old.mean, row.new.mean, c.difference, c.upper, c.margin)
-    name = f"{case}{row.region}: {short_name(row.metric)} ({unit})"
+    name = f"{row.region}: {short_name(row.metric)} ({unit})"
     return [name, *(number(scale * value) for value in numbers), c.verdict]

@@ -59,6 +59,18 @@ def test_pipe_gets_lines_only_when_the_work_is_long(
     assert len(said(where).splitlines()) == lines
 
 
+def test_many_short_steps_are_long_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    where = console(terminal=False)
+    steps = Steps(where)
+    for i in range(45):
+        with steps.step(f"case {i}"):
+            now[0] += 1.0
+    # Silent for half a minute, then a line every 3 s.
+    assert said(where).splitlines() == [f"case {i}: started" for i in range(30, 45, 3)]
+
+
 def test_no_color_leaves_no_escape_codes_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NO_COLOR", "1")
     where = Console(file=io.StringIO(), force_terminal=True, width=80, color_system=None)

@@ -25,7 +25,7 @@ from fringebench.cli.terminal import answer_console, print_figures, print_json, 
 from fringebench.progress import Mode
 
 if TYPE_CHECKING:
-    from fringebench.gate.regression_gate import Regression
+    from fringebench.gate.regression_result import Regression
 
 app = typer.Typer()
 
@@ -142,21 +142,25 @@ def regress(
 
 def _print_regression(result: "Regression", baseline: Path | None) -> None:
     """What got worse and better in words, and the verdict as the last line."""
+    from fringebench.gate.baseline import mostly_missing
     from fringebench.gate.wording import sentence
 
     console = answer_console()
-    for row in result.failed:
-        console.print(
-            f"[red]{row.comparison.verdict}[/]  {escape(sentence(row, result.where(row)))}",
-            soft_wrap=True,
-        )
+    failures = result.failures()
+    for failure in failures:
+        how = failure.worst.comparison.verdict
+        console.print(f"[red]{how}[/]  {escape(failure.sentence())}", soft_wrap=True)
     for row in result.improved:
         console.print(f"[green]better[/]  {escape(sentence(row))}", soft_wrap=True)
     if result.updated:
+        for case, region, share in mostly_missing(result.figures):
+            say(f"warning: {100 * share:.0f} % of the pixels of {case} / {region} are missing")
         say(f"stored as {baseline}")
     if result.rows:
-        failed = f"{len(result.failed)} of {len(result.rows)} figures failed"
-        verdict = failed if result.failed else f"passed, {len(result.rows)} figures"
+        failed = (
+            f"{len(result.failed)} of {len(result.rows)} figures failed, in {len(failures)} regions"
+        )
+        verdict = failed if failures else f"passed, {len(result.rows)} figures"
         say(f"{result.decoder} compared with {result.baseline}: {verdict}")
 
 

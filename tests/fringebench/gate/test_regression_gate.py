@@ -242,7 +242,7 @@ def test_plugin_fails_a_test_whose_decoder_got_worse(pytester: pytest.Pytester) 
     checked = pytester.runpytest_inprocess(*options)
     checked.assert_outcomes(passed=1, failed=1)
     checked.stdout.fnmatch_lines(
-        ["*got worse than baseline.json*", "*sweep / ratio-0.90: mean error*"]
+        ["*got worse than baseline.json*", "*sweep / ratio-0.90: systematic error*: bias*"]
     )
 
 

@@ -16,7 +16,7 @@ from fringebench.datasets.overview_page import write_report
 from fringebench.exchange.viewer import read_view, write_view
 from fringebench.experiments.hdr_comparison import compare as compare_strategies
 from fringebench.experiments.textbook import CAPTURES, ChapterResult, ChapterRow
-from fringebench.gate.regression_gate import Regression
+from fringebench.gate.regression_result import Regression
 from fringebench.pages.budget_page import budget_figure, budget_report
 from fringebench.pages.chapter_page import CAPTIONS, chapter_report
 from fringebench.pages.compare_page import compare_report
@@ -34,7 +34,7 @@ def _regression() -> Regression:
         rows.append(
             JudgedFigure("sweep", "ink", metric, estimate, old, compare(estimate, old, 0.1))
         )
-    return Regression("my:decoder", "baseline.json", tuple(rows), {})
+    return Regression("my:decoder", "baseline.json", (0, 1, 2), tuple(rows), {})
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory, small_run: Path) -> Path:
     [
         ("chapter", ["apex_clean_mm", "5.9940", "5.9930"]),
         ("compare", ["max-modulation", "censored-ml", "Cramér", "solder"]),
-        ("regress", ["1 of 3 figures failed", "sweep / ink: bias", "worse"]),
+        ("regress", ["Failed: 1 of 3 figures, in 1 region", "sweep / ink", "✗"]),
         ("budget", ["interaction", "method itself", "base"]),
         ("dataset", ["train", "spi", "dataset.toml"]),
         ("view", ["saturated", "calibration"]),
