@@ -1,4 +1,4 @@
-"""Entries of calibration files by name: OpenCV's YAML, XML and JSON, ROS camera_info, MATLAB's .mat, numbers in text.
+"""Entries of calibration files by name: OpenCV's YAML, XML and JSON, ROS camera_info, MATLAB's .mat, COLMAP's, numbers in text.
 
 A text has blocks of numbers, each under a line with its name (``K1:`` or ``K1 =``) or, as in Zhang's files, without names;
 then the blocks say what they are: a matrix with the last row 0 0 1 is an intrinsic matrix, an orthonormal one a rotation,
@@ -15,6 +15,7 @@ import numpy as np
 import scipy.io
 from numpy.typing import NDArray
 
+from scenes.rig.colmap_files import colmap_nodes
 from scenes.support.errors import FileError
 from scenes.support.safe_parse import parse_json, parse_xml, parse_yaml
 
@@ -41,6 +42,8 @@ def entries(path: Path) -> dict[str, Any]:
         raise FileError(f"calibration '{path}' does not exist: check the path") from None
     except (OSError, ValueError) as error:
         raise FileError(f"calibration '{path}' cannot be read: {error}") from error
+    if path.suffix.lower() == ".txt" and (found := colmap_nodes(text, path)):
+        return found
     if path.suffix.lower() in TEXT and not text.lstrip().startswith(("%YAML", "<", "{")):
         return _of_text(text, path)
     # Not by cv2.FileStorage: where a file is damaged it may never return, or write beyond its matrix and abort

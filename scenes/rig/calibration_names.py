@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from scenes.rig.colmap_files import CAMERAS, IMAGES, colmap_parts
 from scenes.support.errors import FileError, nearest
 
 # What other programs call each part, first device then second; compared without case, spaces, dots and underscores.
@@ -91,6 +92,8 @@ def parts_of(
     nodes: dict[str, Any] = {}
     for file in files:
         nodes |= file
+    if CAMERAS in nodes or IMAGES in nodes:
+        return colmap_parts(nodes, own, where)
     each = [parts_by_name(file, {}, where, require_all=False) for file in files]
     devices = [parts for parts in each if "first_matrix" in parts]
     if own or len(devices) != 2 or any("second_matrix" in parts for parts in each):

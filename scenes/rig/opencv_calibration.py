@@ -40,7 +40,7 @@ class Source(Frozen):
     there is no such part."""
     mm_per_unit: PositiveFloat | None = None
     """Millimetres per unit of the translation: 1000 for metres, the square's side for squares; absent: 1, or 1000 for the
-    projection matrices of ROS, which are in metres."""
+    projection matrices of ROS, which are in metres. COLMAP's models have no unit: give it."""
     second_to_first: bool = False
     """R and T take the second device's points to the first's; OpenCV's own take the first's to the second's."""
     distance_mm: Annotated[float, Field(ge=0.0)] = 0.0
@@ -119,13 +119,18 @@ class Pair:
         parts = parts_of([entries(path) for path in source.files], source.names, where)
         rotation = _rotation(parts["rotation"], where)
         translation = _shaped(parts["translation"], (3,), "translation", where)
+        scale = source.mm_per_unit or parts.get("mm_per_unit", 1.0)
+        if scale is None:
+            raise FileError(
+                f"{where}: COLMAP's lengths have no unit: set mm_per_unit, the millimetres of one of its units"
+            )
         if source.second_to_first:
             rotation, translation = rotation.T, -rotation.T @ translation
         return cls(
             _intrinsics(parts, "first", where),
             _intrinsics(parts, "second", where),
             rotation,
-            translation * (source.mm_per_unit or parts.get("mm_per_unit", 1.0)),
+            translation * scale,
             where,
         )
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import scipy.io
 import yaml
+from scipy.spatial.transform import Rotation
 
 from scenes.rig.calibration_files import entries
 from scenes.rig.opencv_calibration import Pair, Source
@@ -319,3 +320,58 @@ def test_ros_camera_infos_of_a_pair_are_read_in_metres(tmp_path: Path) -> None:
     right.write_text(camera_info(K2, D2, (1280, 800), np.eye(3), P1))
     with pytest.raises(FileError, match="no baseline"):
         Source(files=(left, right)).pair()
+
+
+def colmap(
+    folder: Path, models: tuple[str, str] = ("OPENCV", "OPENCV"), names: Any = None
+) -> Source:
+    """COLMAP's two texts of the rig of `PARTS`, k3 apart, seen from a world of its own, with lengths in metres."""
+    params = [
+        " ".join(f"{x:.17g}" for x in (K[0, 0], K[1, 1], K[0, 2] + 0.5, K[1, 2] + 0.5, *D[:4]))
+        for K, D in ((K1, D1), (K2, D2))
+    ]
+    cameras = [
+        f"{n} {models[n - 1]} {w} {h} {params[n - 1]}"
+        for n, (w, h) in ((1, SIZES["cam_size"]), (2, SIZES["pro_size"]))
+    ]
+    (folder / "cameras.txt").write_text("# Camera list\n" + "\n".join(cameras) + "\n")
+    lines = []
+    for n, (pose, camera) in enumerate(((POSE_1, 1), (POSE_2, 2), (POSE_1 * 2.0, 1)), 1):
+        rotation = Rotation.from_matrix(pose[:, :3] / np.cbrt(np.linalg.det(pose[:, :3])))
+        x, y, z, w = rotation.as_quat()
+        t = " ".join(f"{v / 1000.0:.17g}" for v in pose[:, 3])
+        lines += [
+            f"{n} {w:.17g} {x:.17g} {y:.17g} {z:.17g} {t} {camera} im {n}.png",
+            "10.5 20.5 -1 3 4 7" if n == 1 else "",
+        ]
+    (folder / "images.txt").write_text(
+        "# Image list\n" + "\n".join(lines if names else lines[:4]) + "\n"
+    )
+    return Source(
+        files=(folder / "cameras.txt", folder / "images.txt"), mm_per_unit=1000.0, names=names or {}
+    )
+
+
+@pytest.mark.parametrize("names", [None, {"first_matrix": "im 1.png", "second_matrix": "im 2.png"}])
+def test_colmap_texts_are_read(tmp_path: Path, names: Any) -> None:
+    pair = colmap(tmp_path, names=names).pair()
+    np.testing.assert_allclose(pair.first.matrix, K1)
+    np.testing.assert_allclose(pair.second.matrix, K2)
+    np.testing.assert_allclose(pair.second.distortion, (*D2[:4], 0.0))
+    np.testing.assert_allclose(pair.R, R, atol=1e-12)
+    np.testing.assert_allclose(pair.t_mm, T, rtol=1e-12)
+    assert (pair.first.size, pair.second.size) == ((2592, 1944), (1280, 800))
+
+
+def test_colmap_texts_without_scale_images_or_known_lens_are_refused(tmp_path: Path) -> None:
+    good = colmap(tmp_path)
+    with pytest.raises(FileError, match="no unit: set mm_per_unit"):
+        good.model_copy(update={"mm_per_unit": None}).pair()
+    with pytest.raises(FileError, match=r"both cameras\.txt and images\.txt"):
+        good.model_copy(update={"files": good.files[:1]}).pair()
+    with pytest.raises(FileError, match=r"no image 'im 3\.png'"):
+        good.model_copy(update={"names": {"first_matrix": "im 3.png"}}).pair()
+    with pytest.raises(FileError, match="say which two"):
+        colmap(tmp_path, names={"rotation": "R"}).pair()
+    with pytest.raises(FileError, match="OPENCV_FISHEYE is not Brown's"):
+        colmap(tmp_path, ("OPENCV_FISHEYE", "OPENCV")).pair()
