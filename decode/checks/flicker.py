@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from decode.checks.flicker_residual import residual_gains
 from decode.phase.gamma import CLEAR
 from decode.phase.n_step import TURN, FringeSet, fringe_sets, solution, wrap
 from scenes.acquisition.fringe_fit import fringe_design
@@ -68,15 +69,35 @@ class Flicker:
 
 
 def measured_flicker(stack: Stack, fringes: FringeSet, exposure: int) -> Flicker | None:
-    """Brightness of each frame of a fringe set; None where too few modulated, unsaturated pixels show a whole fringe."""
+    """Brightness of each frame of a fringe set; None where too few modulated, unsaturated pixels or phases show it."""
     samples, good = _pixels(stack, fringes, exposure)
-    parts = _parts(samples, good, fringes)
-    rows = solution(fringes)
-    if len(parts) < FEWEST_PARTS:
+    if not good.any():
         return None
-    level, cosine, sine = np.tensordot(rows, samples, axes=1)[:, good]
+    parts = _parts(samples, good, fringes)
+    level, cosine, sine = np.tensordot(solution(fringes), samples, axes=1)[:, good]
     modulation = np.hypot(cosine, sine)
-    gains = np.ones(len(rows[0]))
+    constant, slope = stack.sensor.noise_model(stack.exposure_ms[exposure])
+    variance = constant + slope * float(np.median(level))
+    if len(parts) >= FEWEST_PARTS:
+        gains, uncertainty = _contrast_gains(parts, fringes)
+    else:
+        lines, pixels = np.nonzero(good)
+        tile = lines * GROUPS // good.shape[0] * GROUPS + pixels * GROUPS // good.shape[1]
+        found = residual_gains(samples[:, good], tile, fringes.shifts_rad, variance)
+        if found is None:
+            return None
+        gains, uncertainty = found
+    return Flicker(
+        gains,
+        uncertainty,
+        _error(gains, float(np.median(modulation / level)), fringes),
+        float(np.sqrt(2.0 * variance / len(gains)) / np.percentile(modulation, 95.0)),
+    )
+
+
+def _contrast_gains(parts: Sequence[Part], fringes: FringeSet) -> tuple[Floats, float]:
+    """Brightness of each frame from contrast by phase, and its standard error."""
+    gains = np.ones(len(fringes.frames))
     few = parts[:: max(1, len(parts) // JACOBIAN_PARTS)]
     # How each factor changes what is measured depends on contrast, gamma and the phases in view, so it is tried on the data.
     changed = [_measured(few, gains + CHANGE * one, fringes) for one in np.eye(len(gains))]
@@ -91,15 +112,8 @@ def measured_flicker(stack: Stack, fringes: FringeSet, exposure: int) -> Flicker
         groups.setdefault(group, []).append(inverse @ _signs(part / gains[:, None], place, fringes))
     means = np.array([np.median(each, axis=0) for each in groups.values()])
     scatter = 1.4826 * np.median(np.abs(means - np.median(means, axis=0)), axis=0)
-    constant, slope = stack.sensor.noise_model(stack.exposure_ms[exposure])
-    variance = constant + slope * float(np.median(level))
-    return Flicker(
-        gains,
-        # A median of Gaussian numbers scatters pi / 2 times as much as their mean.
-        float(np.sqrt(0.5 * np.pi / len(means)) * scatter.max()),
-        _error(gains, float(np.median(modulation / level)), fringes),
-        float(np.sqrt(2.0 * variance / len(gains)) / np.percentile(modulation, 95.0)),
-    )
+    # A median of Gaussian numbers scatters pi / 2 times as much as their mean.
+    return gains, float(np.sqrt(0.5 * np.pi / len(means)) * scatter.max())
 
 
 def _measured(parts: Sequence[Part], gains: Floats, fringes: FringeSet) -> Floats:
@@ -168,34 +182,58 @@ def _parts(samples: Floats, good: NDArray[np.bool_], fringes: FringeSet) -> list
 
 
 def flicker_findings(stack: Stack, projector: int = 0, axis: Axis = "column") -> Iterator[Finding]:
-    """Whether the frames of each fringe set of an axis are equally bright; sets that do not show it are left out.
+    """Whether the frames of each fringe set of an axis are equally bright.
 
-    The finest fringes of an axis measure, and are judged by their noise; the others by the order that they give.
+    The finest fringes of an axis measure, and are judged by their noise; the others by the order that they give. Coarser sets
+    that do not show it are left out, unless the order that they give would be wrong if they flickered as others do.
     """
     sets = fringe_sets(stack.patterns, projector)[axis]
-    for fringes, finer in zip(sets, (*sets[1:], None), strict=True):
-        found = [measured_flicker(stack, fringes, e) for e in range(len(stack.exposure_ms))]
-        measured = [f for f in found if f is not None]
-        if not measured:
+    worst = [_worst(stack, fringes) for fringes in sets]
+    bends = [w.error_rad for w in worst if w is not None and w.significant]
+    for fringes, finer, seen in zip(sets, (*sets[1:], None), worst, strict=True):
+        name = f"{fringes.axis} fringes of {fringes.period_px:g} px, brightness"
+        ratio = fringes.period_px / finer.period_px if finer else 0.0
+        if seen is None:
+            said = "too few fringes in view to see whether the source flickers"
+            verdict = graded(ratio * max(bends, default=0.0) / TURN, *ORDER_TURNS)
+            if finer is None:
+                yield Finding(name, "unknown", said)
+            elif verdict != "ok":
+                said += (
+                    f"; if it does as in the other fringes, orders are wrong by up to {ratio * max(bends) / TURN:.2f} periods of "
+                    f"{finer.period_px:g} px, which --equalise cannot mend: take the frames again with a steady source"
+                )
+                yield Finding(name, verdict, said)
             continue
-        worst = max(measured, key=lambda f: (f.significant, f.error_rad / f.sigma_rad))
-        off = float(np.abs(worst.gains - 1.0).max())
-        turns = fringes.period_px / finer.period_px * worst.error_rad / TURN if finer else 0.0
+        off = float(np.abs(seen.gains - 1.0).max())
         verdict = (
-            graded(turns, *ORDER_TURNS)
+            graded(ratio * seen.error_rad / TURN, *ORDER_TURNS)
             if finer
-            else graded(worst.error_rad / worst.sigma_rad, *ERROR_SIGMAS)
+            else graded(seen.error_rad / seen.sigma_rad, *ERROR_SIGMAS)
         )
         said = f"frames differ from their mean brightness by up to {off:.2%}"
-        if not worst.significant:
+        if not seen.significant:
             verdict = "ok"
         if verdict != "ok":
             said += (
-                f" (frame {int(np.abs(worst.gains - 1.0).argmax())} of {len(worst.gains)}), which bends the phase by up "
-                f"to {worst.error_rad:.3f} rad: the source flickers or drifts; import with --equalise, which divides it out"
+                f" (frame {int(np.abs(seen.gains - 1.0).argmax())} of {len(seen.gains)}), which bends the phase by up "
+                f"to {seen.error_rad:.3f} rad: the source flickers or drifts; import with --equalise, which divides it out"
             )
-        name = f"{fringes.axis} fringes of {fringes.period_px:g} px, brightness"
         yield Finding(name, verdict, said, off)
+
+
+def orders_in_doubt(stack: Stack, projector: int = 0) -> Iterator[Finding]:
+    """Of `flicker_findings`, those of coarser sets that do not show their flicker."""
+    for axis in fringe_sets(stack.patterns, projector):
+        found = flicker_findings(stack, projector, axis)
+        yield from (f for f in found if f.value is None and f.verdict != "unknown")
+
+
+def _worst(stack: Stack, fringes: FringeSet) -> Flicker | None:
+    """Flicker of the exposure that shows it best; None if none does."""
+    found = [measured_flicker(stack, fringes, e) for e in range(len(stack.exposure_ms))]
+    measured = [f for f in found if f is not None]
+    return max(measured, key=lambda f: (f.significant, f.error_rad / f.sigma_rad), default=None)
 
 
 def equalise(stack: Stack, projector: int = 0) -> Stack:

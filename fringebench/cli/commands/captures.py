@@ -65,20 +65,21 @@ def import_capture(
     capture = Capture.load(manifest)
     with steps.step("read images"):
         imported = capture.imported()
+    findings = list(imported.findings)
     stack = imported.stack
     pair = any(frame.camera for frame in stack.patterns)
     views = tuple(camera_view(stack, c) for c in (0, 1)) if pair else (stack,)
     if equalise:
         with steps.step("equalise"):
+            # Of coarse fringes, whose factors are not seen, this is known only before.
+            findings += [f for view in views for f in flicker.orders_in_doubt(view)]
             views = tuple(flicker.equalise(view) for view in views)
-    if capture.gamma is None:
-        gamma = response(as_fringes(views[0]).stack)
-        views = tuple(replace(view, gamma=gamma) for view in views)
+    gamma = response(as_fringes(views[0]).stack) if capture.gamma is None else capture.gamma
+    views = tuple(replace(view, gamma=gamma) for view in views)
     frames = np.concatenate([view.frames for view in views], axis=1) if pair else views[0].frames
-    stack = replace(stack, frames=frames, gamma=views[0].gamma)
+    stack = replace(stack, frames=frames, gamma=gamma)
     # Brightness from step to step says nothing where one image gave all four.
     shots = [f.name.replace("single shot", "brightness") for f in imported.findings]
-    findings = list(imported.findings)
     for name, view in zip(("first view, ", "second view, ") if pair else ("",), views, strict=True):
         with steps.step(f"{name}check"):
             found = stack_check.check(view, capture.projector_resolution)
