@@ -39,6 +39,33 @@ class Rays:
         return np.asarray((height_mm - self.origin_mm[:, 2]) / self.direction[:, 2])
 
 
+@dataclass(frozen=True, eq=False)
+class Looks:
+    """Where each pixel sees each position of a screen; arrays are (screen, axis, ...)."""
+
+    screens: tuple[Screen, ...]
+    coordinates_px: Floats
+    sigma_px: Floats
+    """Standard deviations of their noise, independent of each other as they come from different frames."""
+    edge_px: Floats
+    """How far an edge in the pixel's area moves all of them together, see `decode.deflectometry.edges`."""
+
+    def of(self, mask: NDArray[np.bool_]) -> "Looks":
+        """Of chosen pixels."""
+        parts = (part[..., mask] for part in (self.coordinates_px, self.sigma_px, self.edge_px))
+        return Looks(self.screens, *parts)
+
+    def points(self, coordinates_px: Floats) -> list[Floats]:
+        """See `seen_points`."""
+        return seen_points(self.screens, coordinates_px)
+
+    def deviation(self, function: Callable[[Floats], Floats]) -> Floats:
+        """Standard deviations (quantity, pixel) of a function of coordinates, of noise and edges, to first order."""
+        noise = spread(function, self.coordinates_px, self.sigma_px)
+        edge = function(self.coordinates_px + self.edge_px) - function(self.coordinates_px)
+        return np.asarray(np.hypot(noise, edge))
+
+
 def seen_points(screens: Sequence[Screen], coordinates_px: Floats) -> list[Floats]:
     """World points of pixels (screen, axis, pixel) of each screen, each (pixel, 3) mm."""
     return [

@@ -1,4 +1,4 @@
-"""Reflection and integration on surfaces known in closed form: rays are mirrored by formulas of the test's own."""
+"""Reflection, edges and integration on surfaces known in closed form: rays are mirrored by formulas of the test's own."""
 
 from typing import Any
 
@@ -7,10 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy import stats
 
+from decode import Reason
+from decode.deflectometry.edges import mostly_outside, near_edges, shift_px
 from decode.deflectometry.integration import Integration, Patches
 from decode.deflectometry.reflection import Rays, meeting, normals, seen_points, slopes, spread
-from scenes import LookAt, Pinhole, Screen, Telecentric
+from scenes import Emva, LookAt, Pinhole, Screen, Telecentric
 
 Floats = NDArray[np.float64]
 
@@ -129,3 +132,36 @@ def test_separate_patches_are_integrated_independently() -> None:
     np.testing.assert_allclose(off[patches.patch == 0], 0.0, atol=1e-9)
     # A patch 1 mm nearer, of 290, is so much smaller.
     np.testing.assert_allclose(off[patches.patch == 1], 1.0, atol=0.01)
+
+
+@pytest.mark.parametrize("edge", [20.0, 20.3, 20.5, 20.9])
+def test_edge_moves_a_blurred_pixel_to_the_centre_of_its_visible_part(edge: float) -> None:
+    """A mirror from column `edge` on, seen through a Gaussian of 1.5 px: integrals over its visible part, pixel by pixel."""
+    sigma = 1.5
+    lens = Emva(psf="none", psf_sigma_um=3.45 * np.sqrt(sigma**2 - 1.0 / 12.0))
+    centre = np.arange(40) + 0.5
+    x = np.linspace(edge, edge + 60.0, 20001)
+    weight = stats.norm.pdf(x - centre[:, None], scale=sigma)
+    share = np.trapezoid(weight, x)
+    moved = np.trapezoid(weight * (x - centre[:, None]), x) / share
+    light = np.tile(100.0 * share, (30, 1))
+    reason = np.full(light.shape, Reason.OK, np.uint8)
+    reason[share * np.ones((30, 1)) < 0.1] = Reason.NO_IMAGE
+
+    near = near_edges(reason)
+    assert near[15, 21]
+    assert not near[15, 30]
+    outside = mostly_outside(light, near)[15]
+    # The brightest pixel nearby has all of the light but 0.1 %, which moves the limit by 0.002 px.
+    valid = reason[15] == Reason.OK
+    np.testing.assert_array_equal(outside[valid], (centre < edge - 0.002)[valid])
+    right, down = shift_px(light, np.zeros_like(light), near, lens)[:, 15]
+    assert not down.any()
+    np.testing.assert_array_equal(right[~near[15]], 0.0)
+    inner = near[15] & ~outside
+    # The gradient over two pixels is that of the Gaussian times 1 + (z^2 - 1) / 6 s^2 + (z^4 - 6 z^2 + 3) / 120 s^4.
+    z = (centre - edge) / sigma
+    difference = 1.0 + (z**2 - 1.0) / (6.0 * sigma**2)
+    np.testing.assert_allclose(right[inner], (moved * difference)[inner], rtol=0.01)
+    # Gradients that noise may make count as none.
+    assert not shift_px(light, np.full_like(light, 10.0), near, lens).any()
