@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from render.image_borders import fringe_terms
 from render.point_spread import binned, blurred, spread_kernel
 from render.transport import Transport
 from render.unsteady_light import STEADY, Moment
@@ -48,7 +49,8 @@ class Image:
             light, ambient = light * gain, ambient * gain
         kernel = spread_kernel(sensor, subpixels)
         if kernel is not None:
-            light = blurred(light, kernel)
+            patterns = transport.scene.patterns
+            light = blurred(light, kernel, [fringe_terms(b, patterns) for b in transport.bases])
             ambient = blurred(ambient, kernel)
         if subpixels > 1:
             light, ambient = binned(light, subpixels), binned(ambient, subpixels)

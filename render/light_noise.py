@@ -187,7 +187,8 @@ def height_noise_mm(
 
 def through(phasor: Complex, kernel: Floats) -> Complex:
     """Phasors (row, col) behind a lens with the kernel of `spread_kernel`."""
-    real, imaginary = blurred(np.stack([phasor.real, phasor.imag]).astype(np.float32), kernel)
+    parts = np.stack([phasor.real, phasor.imag]).astype(np.float32)
+    real, imaginary = blurred(parts[None], kernel, [np.array([[1.0, 1.0j]])])[0]
     return np.asarray(real + 1j * imaginary, np.complex128)
 
 

@@ -13,10 +13,13 @@ traced at n times the resolution (`subpixels` of `render.expose`) is off by less
 f/2.8.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from render.image_borders import Complex, continued, margins
 from scenes.acquisition.sensor import Emva, Sensor
 from scenes.support import mapped
 
@@ -81,27 +84,50 @@ def keys_transfer(frequency: Floats) -> Floats:
     return np.where(frequency > 0.0, value, 1.0)
 
 
-def blurred(images: NDArray[np.float32], kernel: Floats) -> NDArray[np.float32]:
+def blurred(
+    images: NDArray[np.float32], kernel: Floats, fringes: Sequence[Complex] = ()
+) -> NDArray[np.float32]:
     """Images (..., row, col) convolved with the kernel of `spread_kernel`; a new array of the same shape.
 
-    At its borders an image goes on as its mirror image, so that the sum over it, the photons, stays what it was.
+    At its borders an image is continued by its mirror image, so that the sum over it, the photons, stays what it was. Of images
+    (projector, channel, row, col), `fringes` are the `fringe_terms` of each projector; they continue with their phase instead
+    (`render.image_borders`): light that leaves is not what enters.
     """
     rows, columns = images.shape[-2:]
-    # The cosine transform's own symmetry is the mirror: a symmetric kernel multiplies its coefficients.
-    down, across = (_waves(n, len(kernel)) for n in (rows, columns))
-    transfer = _between(down, kernel, across)
     what = f"blurred light of {columns} x {rows} pixels"
     result = mapped.array(
         images.shape, np.float32, what, "lower camera.resolution, or set sensor.psf to none"
     )
-    for index in np.ndindex(images.shape[:-2]):
-        if not images[index].any():
-            result[index] = 0.0
+    transfer = _transfer(images.shape[-2:], kernel)
+    alone = set(np.ndindex(images.shape[:-2]))
+    for p, terms in enumerate(fringes):
+        used = np.flatnonzero(np.any(terms != 0.0, axis=0))
+        if not used.size:
             continue
-        waves = fft.dctn(images[index].astype(np.float64), overwrite_x=True)
-        waves *= transfer
-        result[index] = fft.idctn(waves, overwrite_x=True)
+        down, across = margins(images.shape[-2:])
+        inside = slice(down, down + rows), slice(across, across + columns)
+        wider = _transfer((rows + 2 * down, columns + 2 * across), kernel)
+        for channel, wide in zip(used, continued(images[p, used], terms[:, used]), strict=True):
+            result[p, channel] = _multiplied(wide, wider)[inside]
+            alone.remove((p, int(channel)))
+    for index in alone:
+        result[index] = _multiplied(images[index], transfer)
     return result
+
+
+def _transfer(shape: tuple[int, ...], kernel: Floats) -> Floats:
+    """Factors of an image's cosine transform: its symmetry is the mirror, and the kernel is symmetric, too."""
+    down, across = (_waves(n, len(kernel)) for n in shape)
+    return _between(down, kernel, across)
+
+
+def _multiplied(image: NDArray[np.float32], transfer: Floats) -> Floats:
+    if not image.any():
+        return np.zeros(image.shape)
+    waves = fft.dctn(image.astype(np.float64), overwrite_x=True)
+    waves *= transfer
+    blurred: Floats = fft.idctn(waves, overwrite_x=True)
+    return blurred
 
 
 def binned(images: NDArray[np.float32], subpixels: int) -> NDArray[np.float32]:

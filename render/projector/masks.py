@@ -83,7 +83,7 @@ def masked(transport: Transport, truth: Truth, masks: Sequence[NDArray[np.floati
 
 
 def _blurred(mask: NDArray[np.floating], widths_px: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The mask (width, row, col) behind Gaussian blurs; at its borders it goes on as its mirror image."""
+    """The mask (width, row, col) behind Gaussian blurs; at its borders it is continued by its mirror image."""
     # Waves of the cosine transform: wide kernels would take minutes.
     waves = fft.dctn(np.asarray(mask, np.float64))
     f2 = np.add.outer(*((np.arange(n) / n) ** 2 for n in mask.shape))

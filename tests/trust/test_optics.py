@@ -81,7 +81,7 @@ def test_fringe_contrast_is_that_of_projector_pixel_camera_pixel_and_lens(
     light = render.trace(scene, samples=256)
     frames = render.expose(light, sensor=lens, noise=False).frames[0].astype(np.float64)
     phase = 2 * np.pi * step * np.arange(256) / period_px
-    # Whole fringes in the middle of the image, away from its mirrored borders.
+    # Whole fringes in the middle of the image, away from its borders.
     fringes = int(200 * step / period_px)
     columns = slice(28, 28 + round(fringes * period_px / step))
     waves = ((frames[0] - frames[2]) + 1j * (frames[3] - frames[1])) / 2.0

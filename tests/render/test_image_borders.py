@@ -1,0 +1,123 @@
+"""What a lens's blur brings into an image from beyond its borders, against larger images."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import render
+import scenes
+from render.chip_image import Image
+from render.fringe_phasor import finest_fringes
+from render.image_borders import fringe_terms
+from render.light_noise import sensor_noise
+from render.point_spread import REACH, blurred, spread_kernel
+from tests.render.test_point_spread import sensor, whole
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+PAIR = np.array([[0.0, 1.0, 1.0j]])
+
+
+def kernel(**lens: Any) -> Floats:
+    found = spread_kernel(sensor(8.0, **lens))
+    assert found is not None
+    return found
+
+
+def phasor(light: render.Transport) -> Complex:
+    fringe = finest_fringes(light.scene.patterns, light.bases)[0]
+    image = Image.of(light, light.scene.sensor).light[0]
+    cosine, sine = fringe.phasor(image[: len(light.bases[0].channels)], 0)
+    return np.asarray(cosine + 1j * sine)
+
+
+def without(light: render.Transport, margin: int) -> render.Transport:
+    """The light of a camera whose sensor lacks that many pixels on each side, and no other."""
+    rows, columns = (n - 2 * margin for n in light.label.shape)
+    inner = (..., slice(margin, margin + rows), slice(margin, margin + columns))
+    camera = light.scene.camera.model_copy(update={"resolution": (columns, rows)})
+    return replace(
+        light,
+        **{k: getattr(light, k)[inner] for k in ("total", "direct", "ambient", "label")},
+        scene=light.scene.model_copy(update={"camera": camera}),
+        noise_rad=None,
+        amplitude_noise=None,
+    )
+
+
+REAL = {"projectors.0.gamma": 2.0, "projectors.0.bits": 10, "projectors.0.psf_sigma_px": 0.5}
+
+
+@pytest.mark.parametrize("projector", [{}, REAL], ids=["sinusoids", "tables"])
+def test_phase_of_outermost_pixels_is_that_in_a_larger_image(projector: dict[str, float]) -> None:
+    """A corner of `bench` at its own scale: off by less than the sensor's noise."""
+    margin, (columns, rows) = 48, (96, 80)
+    scene = scenes.load("bench", projector)
+    eye = scene.camera.projection()
+    camera = scene.camera.model_copy(
+        update={
+            "resolution": (columns + 2 * margin, rows + 2 * margin),
+            "calibrated_at": None,
+            "fx_px": eye.fx,
+            "fy_px": eye.fy,
+            "cx_px": eye.cx - 150.0,
+            "cy_px": eye.cy - 150.0,
+        }
+    )
+    light = render.trace(scene.model_copy(update={"camera": camera}), samples=64, depth=1)
+    expected = phasor(light)[margin:-margin, margin:-margin]
+    cut = without(light, margin)
+    noise = sensor_noise(cut)
+    assert noise is not None
+    off = np.abs(np.angle(phasor(cut) / expected)) / noise.phase_rad
+    for line in (off[0], off[-1], off[:, 0], off[:, -1], off[:, 1], off[:, -2]):
+        assert np.sqrt(np.nanmean(line**2)) < 1.0
+
+
+def test_even_fringes_keep_phase_and_contrast_up_to_the_border() -> None:
+    """Contrast after a symmetric kernel is its transform; beyond 32 px fringes are not continued; there it has 0.3 % of its light."""
+    k = kernel(psf_sigma_um=2.0)
+    across, down = 2 * np.pi / 9.3, 2 * np.pi / 31.0
+    y, x = np.mgrid[:60.0, :90.0]
+    z = np.exp(1j * (across * x + down * y + 0.7))
+    light = np.stack([np.ones_like(x), z.real, z.imag]).astype(np.float32)
+    even, real, imaginary = blurred(light[None], k, [PAIR])[0]
+    offset = np.arange(-REACH, REACH + 1)
+    contrast = np.cos(down * offset) @ whole(k) @ np.cos(across * offset)
+    np.testing.assert_allclose((real + 1j * imaginary) / z, contrast, atol=0.01)
+    np.testing.assert_allclose(even, 1.0, rtol=1e-6)
+
+
+def test_photons_within_the_kernels_reach_of_no_border_are_conserved() -> None:
+    light = np.zeros((1, 3, 2 * REACH + 3, 2 * REACH + 9), np.float32)
+    light[0, :, REACH + 1, REACH + 3] = 5.0, 3.0, -4.0
+    spread = blurred(light, kernel(), [PAIR])
+    np.testing.assert_allclose(spread.sum(axis=(2, 3), dtype=np.float64)[0], [5.0, 3.0, -4.0], rtol=1e-6)  # fmt: skip
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (2, 3), (50, 70)])
+def test_no_light_becomes_negative(shape: tuple[int, int]) -> None:
+    """Of pixels as uneven as can be; the smallest images have no second pixel to show how a phase continues."""
+    rng = np.random.default_rng(3)
+    mean = rng.uniform(0.0, 1.0, shape) ** 8
+    z = mean * np.exp(2j * np.pi * rng.uniform(size=shape))
+    light = np.stack([mean, z.real, z.imag]).astype(np.float32)
+    one, real, imaginary = blurred(light[None], kernel(), [PAIR])[0].astype(np.float64)
+    for phase in np.linspace(0.0, 2.0 * np.pi, 12):
+        assert (one + np.cos(phase) * real + np.sin(phase) * imaginary).min() > -1e-6
+
+
+def test_fringes_of_pixels_are_found_in_their_tables() -> None:
+    """A projector of open squares shows each fringe's values at pixel centres, so its tables span them exactly."""
+    patterns = scenes.PhaseShift(periods_px=(16.0, 128.0), axes=("column", "row"))
+    squares = scenes.load("bench", {"projectors.0.fill_factor": 1.0}).projectors[0]
+    basis = scenes.basis(patterns, squares, (256, 128))
+    terms = fringe_terms(basis, patterns)
+    fringes = [(axis, period) for axis in ("column", "row") for period in (16.0, 128.0)]
+    for row, (axis, period) in zip(terms, fringes, strict=True):
+        tables = np.array([c.values if c.axis == axis else np.zeros(256 if axis == "column" else 128) for c in basis.channels])  # fmt: skip
+        at = np.arange(0.5, tables.shape[1])
+        np.testing.assert_allclose(row @ tables, np.exp(2j * np.pi * at / period), atol=1e-6)
