@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.mutation.__main__ import MODULES, ROOT, covering, modules
+from tests.mutation.__main__ import MODULES, ROOT, covering, modules, unrecorded
 from tests.mutation.mutants import mutants
 from tests.mutation.recorder import ordered
 
@@ -58,6 +58,28 @@ def test_tests_that_execute_the_changed_line_are_chosen() -> None:
         found = covering("m.py", mutant, source, known)
         assert found == [f"{name}::{near}", f"{name}::{far}"]
     assert covering("m.py", number, source, {"m.py": {"return max(": ["gone.py::a"]}}) == []
+
+
+def test_files_that_the_record_does_not_know_are_found_by_name_and_import(tmp_path: Path) -> None:
+    texts = {
+        "a/test_light.py": "",
+        "a/test_lightning.py": "",
+        "b/test_other.py": "from render import light\n",
+        "b/test_third.py": "from render.light import glow\n",
+        "b/test_far.py": "from render.lighter import glow\nfrom render import lights\n",
+        "b/test_known.py": "import render.light\n",
+        "render/test_near.py": "",
+        "render/plugins/test_further.py": "",
+    }
+    for name, text in texts.items():
+        (tmp_path / "tests" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "tests" / name).write_text(text)
+    found = unrecorded("render/light.py", frozenset({"tests/b/test_known.py"}), tmp_path)
+    named, importing = (
+        ("a/test_light.py", "a/test_lightning.py"),
+        ("b/test_other.py", "b/test_third.py"),
+    )
+    assert found == [f"tests/{name}" for name in (*named, *importing, "render/test_near.py")]
 
 
 def test_nearest_and_fastest_tests_come_first() -> None:
