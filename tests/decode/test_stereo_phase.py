@@ -9,7 +9,8 @@ from scenes.acquisition.patterns import GrayCode, PhaseShift
 from scenes.acquisition.sensor import SimpleSensor
 from scenes.files.stack import Stack
 from scenes.rig.devices import LookAt, Pinhole
-from scenes.support.errors import DecodeError
+from scenes.support import memory
+from scenes.support.errors import DecodeError, TooLargeError
 from tests.decode.synthetic import LENS, rig
 
 HEIGHTS = (-1.0, 4.0)
@@ -109,6 +110,17 @@ def test_impossible_stereo_is_refused(change: dict[str, object], said: str) -> N
     keys = {"cameras": eyes, "heights_mm": HEIGHTS} | change
     with pytest.raises(DecodeError, match=said):
         stereo(left, right, **keys)  # type: ignore[arg-type]
+
+
+def test_images_beyond_memory_are_refused_with_their_number_of_pixels(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    eyes = camera(-8.0), camera(8.0)
+    (left, _), (right, _) = (look(eye, BOTH, 0.0, 0) for eye in eyes)
+    monkeypatch.setattr(memory, "available_bytes", lambda: 1)
+    pixels = left.frames[0, 0].size + right.frames[0, 0].size
+    with pytest.raises(TooLargeError, match=f"stereo of {pixels} pixels"):
+        stereo(left, right, eyes, HEIGHTS)
 
 
 def test_stacks_of_different_patterns_are_refused() -> None:

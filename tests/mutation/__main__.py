@@ -243,7 +243,7 @@ def outcomes(
                 path, mutant = waiting.pop()
                 copy = free.pop()
                 source = (copy / path).read_text("utf-8")
-                new = unrecorded(path, recorded)
+                new = unrecorded(path, recorded if path in known else frozenset())
                 tests = [*new, *covering(path, mutant, source, known)][:KEPT]
                 if not tests:
                     free.append(copy)

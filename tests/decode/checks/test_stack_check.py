@@ -141,6 +141,21 @@ def test_another_rigs_calibration_is_detected() -> None:
     assert (right.verdict, "is not this rig's" in right.message) == ("ok", False)
 
 
+@pytest.mark.parametrize(("top_mm", "verdict"), [(0.9, "wrong"), (1.1, "ok")])
+def test_points_outside_the_volume_are_counted(top_mm: float, verdict: str) -> None:
+    """More than half of them: the calibration is another rig's."""
+    unique = large(PhaseShift(steps=4, periods_px=(16.0, 80.0, 400.0)))
+    volume = CALIBRATION.model_copy(update={"height_range_mm": (-0.5, top_mm)})
+    stack = replace(unique, calibration=volume)
+    (found,) = (f for f in check(stack).findings if f.name == "calibration")
+    assert found.verdict == verdict
+    shares = decode.reconstruct(stack).reason_fractions()
+    outside = shares["out-of-volume"]
+    assert found.value == pytest.approx(outside / (outside + shares["ok"]))
+    # The volume has a margin, below the hills' top.
+    assert 0.5 * (hills(LARGE) > top_mm).mean() < outside < (hills(LARGE) > top_mm).mean()
+
+
 def test_exposure_times_in_the_wrong_order_are_detected() -> None:
     stack = large(FOUR, exposures=(0.5, 1.0))
     assert not check(stack).wrong

@@ -120,10 +120,11 @@ def test_noise_adds_its_own_variance_and_leaves_the_ripple() -> None:
     ("wrong", "named"),
     [
         ({"ratios": []}, "ratios"),
-        ({"steps": [2]}, "steps"),
+        ({"ratios": [1.0, 0.0]}, "ratios"),
+        ({"steps": [4, 2]}, "steps"),
         ({"contrast": 1.5}, "contrast"),
         ({"noise": -1.0}, "noise"),
-        ({"relative": [0.0]}, "relative"),
+        ({"relative": [1.0, 0.0]}, "relative"),
         ({"decoder": lambda stack: "phase"}, "answer"),
         ({"decoder": lambda stack: np.zeros(3)}, "shape"),
     ],

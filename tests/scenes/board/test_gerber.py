@@ -92,6 +92,7 @@ SHAPES = {
     "obround": ("%ADD10O,1.0X0.4*%\n", 0.6 * 0.4 + np.pi * 0.2**2),
     "octagon": ("%ADD10P,1.0X8*%\n", 8 / 2 * 0.5**2 * np.sin(np.pi / 4)),
     "with a hole": ("%ADD10C,0.8X0.4*%\n", np.pi * (0.4**2 - 0.2**2)),
+    "with a rectangular hole": ("%ADD10C,0.8X0.3X0.2*%\n", np.pi * 0.4**2 - 0.3 * 0.2),
     "macro": (ROUNDED + "%ADD10ROUND*%\n", 1.0 * 0.6 - (4 - np.pi) * 0.1**2),
 }
 

@@ -99,6 +99,13 @@ def test_lens_beyond_floating_point_range_is_refused(name: str, value: object) -
         Pinhole(**{**pinhole(DISTORTION).model_dump(), name: value})
 
 
+def test_distortion_that_folds_in_one_corner_is_refused() -> None:
+    # r (1 - 0.8 r^2) turns at r = 0.645: the right corners are 0.74 from the centre, the left ones 0.27.
+    with pytest.raises(SceneError, match="folds over inside the image"):
+        changes = {"cx_px": 20.0, "distortion": (-0.8, 0.0, 0.0, 0.0, 0.0)}
+        Pinhole(**pinhole(DISTORTION).model_dump() | changes)
+
+
 def test_points_at_a_height_are_in_that_plane_and_on_their_pixels_ray() -> None:
     for device in devices():
         geometry = device.projection()

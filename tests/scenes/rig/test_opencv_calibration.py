@@ -51,6 +51,19 @@ def test_points_project_as_in_opencv_plus_half_a_pixel(tmp_path: Path, suffix: s
     assert rig.projectors[0].resolution == (1280, 800)
 
 
+def test_working_volume_is_from_the_nearest_to_the_farthest_depth(tmp_path: Path) -> None:
+    path = write(tmp_path / "rig.yml", PARTS | SIZES)
+    stated = Source(files=(path,), distance_mm=600.0, depth_range_mm=(500.0, 650.0))
+    # Heights rise towards the camera, 600 mm above z = 0: 650 mm away is -50, 500 mm away is 100.
+    assert stated.calibration().height_range_mm == (-50.0, 100.0)
+    # Not stated: half a baseline to fifty of them.
+    baseline_mm = float(np.linalg.norm(T))
+    found = Source(files=(path,)).calibration()
+    assert found.height_range_mm == pytest.approx((-50.0 * baseline_mm, -0.5 * baseline_mm))
+    with pytest.raises(FileError, match="the first must be below the second"):
+        Source(files=(path,), depth_range_mm=(500.0, 500.0)).calibration()
+
+
 @pytest.mark.parametrize(
     "names",
     [
