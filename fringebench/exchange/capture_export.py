@@ -31,6 +31,7 @@ HEADER = """\
 # [[frames]] of kind "fringes" is N = steps images; image k = 0 ... N - 1 shows
 #     I_k = A + B cos(2 pi (u - origin_px) / period_px + (first_phase_deg + direction 360 k / N) pi / 180)
 # (with shifts_deg: shifts_deg[k] in place of direction 360 k / N), where u is the projector column (axis = "column") or row.
+# If the coarsest period is narrower than the projector's image, its order is that whose height is in rig.height_range_mm.
 # Coordinates are continuous, (column, row), with pixel centres at integer + 0.5, in the camera and in the projector:
 # element [i, j] of an image is at (j + 0.5, i + 0.5). A sample of saturation_dn or more is clipped; dark_dn is no light.
 #

@@ -50,7 +50,7 @@ def run_report(run: Run, spent: Mapping[str, float]) -> Report:
         for name in ("modulation", "sigma", "slope", "slope_sigma", "render_noise")
         if name in drawn
     ]
-    wrong: list[Block] = [Picture(drawn["error"], CAPTIONS["error"])]
+    wrong: list[Block] = []
     if "histograms" in drawn:
         wrong.append(Picture(drawn["histograms"], CAPTIONS["histograms"], wide=True))
     wrong += [
@@ -60,36 +60,41 @@ def run_report(run: Run, spent: Mapping[str, float]) -> Report:
         )
         for name in profiles
     ]
+    where = [
+        Picture(
+            scene_picture(stack, truth),
+            "The mean of the first camera's frames, on a logarithmic scale, with its labels.",
+        ),
+        Picture(drawn["error"], CAPTIONS["error"]),
+    ]
+    shown = [*_phases(rec), *measured]
+    frames = Picture(
+        frames_picture(stack),
+        "The first frame of each exposure and camera; saturated pixels are orange.",
+        wide=len(stack.exposure_ms) > 1 or run.scene.second_camera is not None,
+    )
     return Report(
         title=f"fringebench: {run.scene.name}",
         summary=run.scene.description,
         headline=run_headline(run.score, run.naive, len(run.stack.exposure_ms)),
         sections=[
+            Section("Where the errors are", where),
             Section("Scores", _scores(run)),
-            Section(
-                "Scene and frames",
-                [
-                    Picture(
-                        scene_picture(stack, truth),
-                        "The mean of the first camera's frames, on a logarithmic scale, with its labels.",
-                    ),
-                    Picture(
-                        frames_picture(stack),
-                        "The first frame of each exposure and camera; saturated pixels are orange.",
-                        wide=len(stack.exposure_ms) > 1 or run.scene.second_camera is not None,
-                    ),
-                ],
+            Section("Frames", [frames]),
+            *(
+                [Section("Phase and modulation" if rec.phases else "Matches", shown)]
+                if shown
+                else []
             ),
             Section(
-                "Phase and modulation" if rec.phases else "Matches",
+                "Height",
                 [
-                    *_phases(rec),
-                    *measured,
+                    Picture(drawn["height"], CAPTIONS["height"]),
                     Picture(reason_map(rec), "Where heights are given, and why not elsewhere."),
+                    _surface(rec, truth),
                 ],
             ),
-            Section("Height", [Picture(drawn["height"], CAPTIONS["height"]), _surface(rec, truth)]),
-            Section("Error", wrong),
+            *([Section("Errors by region", wrong)] if wrong else []),
             Section("Pixels", [inspector_of(stack, rec, truth)]),
             provenance(scenes.dumps(run.scene), stack.seed, spent, run.score.light),
         ],

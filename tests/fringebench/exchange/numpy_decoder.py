@@ -1,8 +1,9 @@
-"""A decoder of 40 lines, written from the header of an exported manifest alone: NumPy, and OpenCV to read the images."""
+"""A decoder of 60 lines, written from the header of an exported manifest alone: NumPy, and OpenCV to read the images."""
 
 import sys
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,7 +21,6 @@ def heights_mm(manifest: Path) -> NDArray[np.float64]:
     times = np.array(shot["exposures_ms"])[:, None, None]
     best = np.argmax(np.where(usable, times, 0.0), axis=0)
     frames = np.take_along_axis(images, best[None, None], axis=0)[0]
-    column = np.zeros(best.shape)
     start, sets = 0, []
     for fringe in shot["frames"]:
         k = np.arange(fringe["steps"])[:, None, None]
@@ -30,27 +30,51 @@ def heights_mm(manifest: Path) -> NDArray[np.float64]:
         phase = np.arctan2(-(shown * np.sin(shift)).sum(0), (shown * np.cos(shift)).sum(0))
         phase -= np.deg2rad(fringe["first_phase_deg"])
         sets.append((fringe["period_px"], phase, fringe["origin_px"]))
-    for i, (period, phase, origin) in enumerate(sorted(sets, key=lambda s: -s[0])):
+    sets.sort(key=lambda one: -one[0])
+    rig = shot["rig"]
+    column = _anchored(rig, *sets[0], shot["projector_resolution"][0])
+    for period, phase, origin in sets[1:]:
         fraction = phase / (2 * np.pi) % 1.0
-        order = 0.0 if i == 0 else np.round((column - origin) / period - fraction)
-        column = origin + period * (order + fraction)
-    return np.where(usable.any(axis=0), triangulated(shot["rig"], column), np.nan)
+        column = origin + period * (np.round((column - origin) / period - fraction) + fraction)
+    return np.where(usable.any(axis=0), triangulated(rig, column), np.nan)
 
 
-def triangulated(rig: dict, column: NDArray[np.float64]) -> NDArray[np.float64]:  # type: ignore[type-arg]
-    """Where the ray of each pixel meets the plane of its projector column; pinholes without distortion."""
+def _anchored(
+    rig: Any, period: float, phase: NDArray[np.float64], origin: float, width: int
+) -> NDArray[np.float64]:
+    """Column of the coarsest fringes: of all orders, the one whose height is in the working volume."""
+    low, high = rig["height_range_mm"]
+    column = np.full(phase.shape, np.nan)
+    for order in range(int(np.ceil(width / period))):
+        one = origin + period * (phase / (2 * np.pi) % 1.0 + order)
+        height = triangulated(rig, one)
+        column = np.where((low < height) & (height < high), one, column)
+    return column
+
+
+def triangulated(rig: Any, column: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Where the ray of each pixel meets the plane of its projector column; devices without distortion."""
     eye, lamp = rig["camera"], rig["projectors"][0]
     R, t = np.array(eye["pose"]["R"]), np.array(eye["pose"]["t_mm"])
     v, u = np.indices(column.shape) + 0.5
-    x, y = (u - eye["cx_px"]) / eye["fx_px"], (v - eye["cy_px"]) / eye["fy_px"]
-    direction = np.stack([x, y, np.ones_like(x)], axis=-1) @ R
-    origin = -R.T @ t
+    if eye["model"] == "telecentric":
+        scale = eye["resolution"][0] / eye["field_width_mm"]
+        across = (u - eye["resolution"][0] / 2) / scale, (v - eye["resolution"][1] / 2) / scale
+        start = (np.stack([*across, np.zeros_like(u)], axis=-1) - t) @ R
+        ray = np.broadcast_to(R[2], start.shape)
+    else:
+        x, y = (u - eye["cx_px"]) / eye["fx_px"], (v - eye["cy_px"]) / eye["fy_px"]
+        ray = np.stack([x, y, np.ones_like(x)], axis=-1) @ R
+        start = np.broadcast_to(-R.T @ t, ray.shape)
     S, s = np.array(lamp["pose"]["R"]), np.array(lamp["pose"]["t_mm"])
-    # x - x' z = 0 for all points of the column's plane.
-    slope = (column - lamp["cx_px"]) / lamp["fx_px"]
+    # All points of the column's plane have x - slope z = shift in the projector's frame.
+    slope, shift = (column - lamp.get("cx_px", 0.0)) / lamp.get("fx_px", 1.0), 0.0 * column
+    if lamp["model"] == "telecentric":
+        scale = lamp["resolution"][0] / lamp["field_width_mm"]
+        slope, shift = 0.0 * column, (column - lamp["resolution"][0] / 2) / scale
     normal = S[0] - slope[..., None] * S[2]
-    distance = -(normal @ origin + s[0] - slope * s[2]) / (normal * direction).sum(-1)
-    return np.asarray(origin[2] + distance * direction[..., 2])
+    distance = (shift - (normal * start).sum(-1) - s[0] + slope * s[2]) / (normal * ray).sum(-1)
+    return np.asarray(start[..., 2] + distance * ray[..., 2])
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ import evaluation
 import render
 import scenes
 from fringebench.exchange.capture_export import export
+from fringebench.gate.cases import CASES, RENDERED, plane_stack
 from scenes.acquisition.patterns import gray_frames
 from scenes.files.capture import Capture
 from scenes.support.errors import FileError
@@ -132,3 +133,18 @@ def test_decoder_written_from_the_manifest_alone_finds_the_heights(tmp_path: Pat
     predicted = float(np.sqrt(np.mean(rec.sigma_mm[base] ** 2)))
     assert np.sqrt(np.mean(error**2)) < 1.2 * predicted
     assert abs(error.mean()) < 0.3 * predicted
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_manifest_says_all_that_a_decoder_needs_for_each_case_of_the_gate(
+    case: str, tmp_path: Path
+) -> None:
+    """Pinhole and telecentric rigs, and coarse fringes narrower than the image, without noise."""
+    name, keys = RENDERED.get(case, ("chapter", {"camera.resolution": [240, 80]}))
+    shown = plane_stack(scenes.load(name, keys))
+    low, high = shown.calibration.height_range_mm if shown.calibration else (0.0, 0.0)
+    error = heights_mm(export(shown, tmp_path)) - (low + high) / 2.0
+    # Counts are rounded: errors below 1/500 of the range; a wrong order errs by more than the whole range.
+    lit = np.isfinite(error)
+    assert lit.mean() > 0.9
+    assert np.abs(error[lit]).max() < 0.02 * (high - low)

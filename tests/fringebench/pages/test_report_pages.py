@@ -98,7 +98,21 @@ def test_page_fits_a_narrow_screen_and_has_no_empty_figures(
     assert min(sizes) > 10_000
     tab.set_viewport_size({"width": 360, "height": 700})
     assert tab.evaluate("() => document.documentElement.scrollWidth - window.innerWidth") <= 0
+    tab.set_viewport_size({"width": 1400, "height": 900})
+    assert max(tab.evaluate(LOPSIDED), default=0.0) < 2.0, "a row of figures is half empty"
     assert tab.said == []
+
+
+# For each row of figures: by how much its empty space on the left differs from that on the right, px.
+LOPSIDED = """() => [...document.querySelectorAll(".figures")].flatMap((box) => {
+  const rows = {}, around = box.getBoundingClientRect();
+  for (const figure of box.children) {
+    const { top, left, right } = figure.getBoundingClientRect();
+    const row = (rows[top] ??= { left: around.right, right: around.left });
+    Object.assign(row, { left: Math.min(row.left, left), right: Math.max(row.right, right) });
+  }
+  return Object.values(rows).map((row) => Math.abs(row.left - around.left - (around.right - row.right)));
+})"""
 
 
 @pytest.mark.slow

@@ -59,6 +59,13 @@ def test_text_of_a_scene_cannot_become_markup() -> None:
 def test_report_opens_without_error_or_network_and_figures_have_size(page: Any) -> None:
     drawn_surface(page)
     assert page.said == []
+    # Styles of the page's own canvases do not reach those of plotly.
+    assert (
+        page.evaluate(
+            "() => getComputedStyle(document.querySelector('.surface canvas')).borderTopWidth"
+        )
+        == "0px"
+    )
     sizes = page.eval_on_selector_all(
         "img", "all => all.map(i => i.naturalWidth * i.naturalHeight)"
     )
