@@ -5,25 +5,19 @@ adds to the offset alone.
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from scenes.acquisition.frames import WIDEST_PX, Axis, Frame, require_each_once
-from scenes.support.frozen import Frozen
+from scenes.acquisition.frames import WIDEST_PX, Axis, Frame, ShownPatterns, require_each_once
 
 Period = Annotated[float, Field(gt=2.0, le=WIDEST_PX)]
 
 
-class FringeCoding(Frozen):
+class FringeCoding(ShownPatterns):
     """What all codings have."""
 
     axes: Annotated[tuple[Axis, ...], Field(min_length=1, max_length=2)] = ("column",)
     amplitude: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
     """Commanded fringe amplitude as a fraction of the full range around mid-grey."""
-
-    def commanded(self, frame: Frame, coordinate_px: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Values (...) in [0, 1] of one of the frames at coordinates (...) in px along its axis."""
-        return frame.commanded(coordinate_px, self.amplitude)
 
 
 class UnevenSteps(FringeCoding):

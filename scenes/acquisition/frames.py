@@ -2,12 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scenes.support.errors import ImpossibleError
+from scenes.support.frozen import Frozen
 
 Axis = Literal["column", "row"]
 FrameKind = Literal["fringe", "modulated", "line", "gray", "xor", "white", "grey", "black", "dots"]
@@ -28,7 +29,7 @@ class Frame:
     ``floor(u / period_px + phase_shift_rad / (2 pi))``, dark and bright exchanged where `inverted`.
     An ``xor`` frame is that bit, dark and bright exchanged where the least significant bit is set. A ``modulated`` frame is a fringe
     times a carrier ``0.5 + 0.5 cos(2 pi u / carrier_px + carrier_shift_rad)``. A ``line`` frame has lines as wide as one of its
-    `steps` where a fringe is brightest. ``white``, ``grey`` (the fringes' mean) and ``black`` are uniform and serve both axes.
+    `steps` where a fringe is brightest. ``white``, ``grey`` (the fringes' mean) and ``black`` are uniform, for both axes.
     ``dots`` are random squares of `period_px`, no function of `axis` alone. `camera` 1 is the second camera of a pair.
     """
 
@@ -130,6 +131,37 @@ class Frame:
                 (difference_px, own[1] / 4.0, carrier[1] - own[2]),
             ]
         return UNIFORM[self.kind], []
+
+
+class HasAmplitude(Protocol):
+    """Patterns whose fringes have one amplitude."""
+
+    @property
+    def amplitude(self) -> float:
+        """Of a fringe, as a fraction of the full range around mid-grey."""
+
+
+class ShownPatterns(Frozen):
+    """What all kinds of patterns have."""
+
+    def commanded(
+        self: HasAmplitude, frame: Frame, coordinate_px: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Commanded values of a frame.
+
+        Parameters
+        ----------
+        frame
+            One of the frames of these patterns.
+        coordinate_px
+            Continuous projector coordinates (...) along the axis of the frame, px.
+
+        Returns
+        -------
+        ndarray of float64, (...)
+            Values in [0, 1].
+        """
+        return frame.commanded(coordinate_px, self.amplitude)
 
 
 def require_each_once(periods_px: Sequence[float], axes: Sequence[Axis]) -> None:

@@ -3,7 +3,6 @@
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, PositiveFloat, model_validator
 
 from scenes.acquisition.codings import ModulatedPhaseShift, UnevenSteps
@@ -11,6 +10,7 @@ from scenes.acquisition.frames import (
     WIDEST_PX,
     Axis,
     Frame,
+    ShownPatterns,
     flat_frames,
     gray_frames,
     require_each_once,
@@ -56,7 +56,7 @@ class GrayBits(Frozen):
         return max(periods_px) / 2.0 if self.cell_px is None else self.cell_px
 
 
-class PhaseShift(Frozen):
+class PhaseShift(ShownPatterns):
     """N-step phase-shifted sinusoids of one or more periods along one or both projector axes.
 
     Frames are in the order axis, period, step; ``I_k = A + B cos(2 pi u / P + 2 pi k / N)``.
@@ -121,25 +121,8 @@ class PhaseShift(Frozen):
                 shown += flat_frames(projector)
         return tuple(shown)
 
-    def commanded(self, frame: Frame, coordinate_px: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Commanded values of a frame.
 
-        Parameters
-        ----------
-        frame
-            One of the frames of these patterns.
-        coordinate_px
-            Continuous projector coordinates (...) along the axis of the frame, px.
-
-        Returns
-        -------
-        ndarray of float64, (...)
-            Values in [0, 1].
-        """
-        return frame.commanded(coordinate_px, self.amplitude)
-
-
-class GrayCode(Frozen):
+class GrayCode(ShownPatterns):
     """Reflected Gray code of the projector pixel, bit by bit, along one or both axes.
 
     Frames are in the order axis, bit (most significant first), inverse; then white and black if `flat`.
@@ -184,30 +167,13 @@ class GrayCode(Frozen):
         """Gray code goes from black to white."""
         return 1.0
 
-    def commanded(self, frame: Frame, coordinate_px: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Commanded values of a frame.
-
-        Parameters
-        ----------
-        frame
-            One of the frames of these patterns.
-        coordinate_px
-            Continuous projector coordinates (...) along the axis of the frame, px.
-
-        Returns
-        -------
-        ndarray of float64, (...)
-            Values in [0, 1].
-        """
-        return frame.commanded(coordinate_px)
-
 
 OnePatterns = Annotated[
     PhaseShift | GrayCode | UnevenSteps | ModulatedPhaseShift, Field(discriminator="kind")
 ]
 
 
-class PatternSeries(Frozen):
+class PatternSeries(ShownPatterns):
     """Several patterns, one after the other: light that is traced for all of them is enough for each (`render.expose`).
 
     Examples
@@ -238,10 +204,6 @@ class PatternSeries(Frozen):
         return tuple(
             f for p in range(projectors) for part in each for f in part if f.projector == p
         )
-
-    def commanded(self, frame: Frame, coordinate_px: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Values (...) in [0, 1] of one of the frames at coordinates (...) in px along its axis."""
-        return frame.commanded(coordinate_px, self.amplitude)
 
 
 Patterns = Annotated[

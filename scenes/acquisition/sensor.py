@@ -4,6 +4,7 @@
 `SimpleSensor` is the textbook's: digital numbers proportional to light, plus Gaussian noise.
 """
 
+from abc import abstractmethod
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -53,6 +54,63 @@ class Digitiser(Frozen):
         """Variance added by rounding."""
         return QUANTISATION_VARIANCE_DN2 if self.bits else 0.0
 
+    @abstractmethod
+    def signal_dn(self, radiance: ArrayLike, exposure_ms: float) -> NDArray[np.float64]:
+        """Mean digital number above black, before clipping and rounding.
+
+        Parameters
+        ----------
+        radiance
+            Radiance (...), W/(m^2 sr).
+        exposure_ms
+            Exposure time, ms.
+
+        Returns
+        -------
+        ndarray of float64, (...)
+            Mean above black, DN.
+        """
+
+    @abstractmethod
+    def noise_model(self, exposure_ms: float = 0.0) -> tuple[float, float]:
+        """(constant, slope) of ``variance_dn2 = constant + slope (DN - black level)``."""
+
+    def mean_dn(self, radiance: ArrayLike, exposure_ms: float) -> NDArray[np.float64]:
+        """Mean digital number before clipping and rounding.
+
+        Parameters
+        ----------
+        radiance, exposure_ms
+            As of `signal_dn`.
+
+        Returns
+        -------
+        ndarray of float64, (...)
+            Mean, DN.
+        """
+        return self.black_level_dn + self.signal_dn(radiance, exposure_ms)
+
+    def variance_dn2(self, mean_dn: ArrayLike, exposure_ms: float = 0.0) -> NDArray[np.float64]:
+        """Temporal variance of unsaturated digital numbers (photon transfer, EMVA 1288 eq. 10).
+
+        Parameters
+        ----------
+        mean_dn
+            Mean digital numbers (...), DN.
+        exposure_ms
+            Exposure time, ms.
+
+        Returns
+        -------
+        ndarray of float64, (...)
+            Variance, DN^2.
+        """
+        constant, slope = self.noise_model(exposure_ms)
+        mean = np.asarray(mean_dn, dtype=np.float64)
+        if not slope:
+            return np.full_like(mean, constant)
+        return constant + slope * np.maximum(mean - self.black_level_dn, 0.0)
+
 
 class SimpleSensor(Digitiser):
     """Digital number = black level + responsivity x radiance x time + Gaussian noise."""
@@ -70,45 +128,12 @@ class SimpleSensor(Digitiser):
         """From this digital number up a sample is saturated."""
         return min(self.full_scale_dn, self.saturated_from_dn or float("inf"))
 
-    def mean_dn(self, radiance: ArrayLike, exposure_ms: float) -> NDArray[np.float64]:
-        """Mean digital number before clipping and rounding.
-
-        Parameters
-        ----------
-        radiance
-            Radiance (...), W/(m^2 sr).
-        exposure_ms
-            Exposure time, ms.
-
-        Returns
-        -------
-        ndarray of float64, (...)
-            Mean, DN.
-        """
-        signal = np.asarray(radiance, dtype=np.float64) * (self.responsivity_dn * exposure_ms)
-        return self.black_level_dn + signal
-
-    def variance_dn2(self, mean_dn: ArrayLike, exposure_ms: float = 0.0) -> NDArray[np.float64]:
-        """Variance of unsaturated digital numbers.
-
-        Parameters
-        ----------
-        mean_dn
-            Mean digital numbers (...), DN.
-        exposure_ms
-            Not used: the variance of this sensor is constant.
-
-        Returns
-        -------
-        ndarray of float64, (...)
-            Variance, DN^2.
-        """
-        return np.full_like(
-            np.asarray(mean_dn, dtype=np.float64), self.sigma_dn**2 + self.rounding_variance_dn2
-        )
+    def signal_dn(self, radiance: ArrayLike, exposure_ms: float) -> NDArray[np.float64]:
+        """As of every sensor."""
+        return np.asarray(radiance, dtype=np.float64) * (self.responsivity_dn * exposure_ms)
 
     def noise_model(self, exposure_ms: float = 0.0) -> tuple[float, float]:
-        """(constant, slope) of ``variance_dn2 = constant + slope (DN - black level)``."""
+        """As of every sensor."""
         return self.sigma_dn**2 + self.rounding_variance_dn2, 0.0
 
 
@@ -234,44 +259,12 @@ class Emva(Digitiser):
         dark = self.dark_current_e_per_s * exposure_ms * 1e-3
         return np.asarray(radiance, dtype=np.float64) * light + dark
 
-    def mean_dn(self, radiance: ArrayLike, exposure_ms: float) -> NDArray[np.float64]:
-        """Mean digital number before clipping and rounding.
-
-        Parameters
-        ----------
-        radiance
-            Radiance (...), W/(m^2 sr).
-        exposure_ms
-            Exposure time, ms.
-
-        Returns
-        -------
-        ndarray of float64, (...)
-            Mean, DN.
-        """
-        return self.black_level_dn + self.gain_dn_per_e * self.mean_electrons(radiance, exposure_ms)
-
-    def variance_dn2(self, mean_dn: ArrayLike, exposure_ms: float = 0.0) -> NDArray[np.float64]:
-        """Temporal variance of unsaturated digital numbers (photon transfer, EMVA 1288 eq. 10).
-
-        Parameters
-        ----------
-        mean_dn
-            Mean digital numbers (...), DN.
-        exposure_ms
-            Exposure time, ms; it determines the dark current.
-
-        Returns
-        -------
-        ndarray of float64, (...)
-            Variance, DN^2.
-        """
-        constant, slope = self.noise_model(exposure_ms)
-        above_black = np.asarray(mean_dn, dtype=np.float64) - self.black_level_dn
-        return constant + slope * np.maximum(above_black, 0.0)
+    def signal_dn(self, radiance: ArrayLike, exposure_ms: float) -> NDArray[np.float64]:
+        """As of every sensor."""
+        return self.gain_dn_per_e * self.mean_electrons(radiance, exposure_ms)
 
     def noise_model(self, exposure_ms: float = 0.0) -> tuple[float, float]:
-        """(constant, slope) of ``variance_dn2 = constant + slope (DN - black level)``."""
+        """As of every sensor."""
         constant = (self.gain_dn_per_e * self.read_noise_e) ** 2 + self.rounding_variance_dn2
         return constant, self.gain_dn_per_e
 

@@ -6,11 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from scenes.acquisition.frames import Axis, Frame
-from scenes.support.frozen import Frozen
+from scenes.acquisition.frames import Axis, Frame, ShownPatterns
 
 
-class StereoLight(Frozen):
+class StereoLight(ShownPatterns):
     """What both kinds have: one frame of each projector, whose values are black and white alone."""
 
     @property
@@ -22,10 +21,6 @@ class StereoLight(Frozen):
     def axes(self) -> tuple[Axis, ...]:
         """None: no axis is coded."""
         return ()
-
-    def commanded(self, frame: Frame, coordinate_px: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Values (...) in [0, 1] of one of the frames at coordinates (...) in px along its axis."""
-        return frame.commanded(coordinate_px)
 
 
 class RandomDots(StereoLight):

@@ -97,7 +97,13 @@ class Extrinsics(Frozen):
         return self
 
     def matrix(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Rotation (3, 3), orthonormalised, and translation (3,) in mm of ``x_device = R X + t``."""
+        """Rotation, orthonormalised, and translation of ``x_device = R X + t``.
+
+        Returns
+        -------
+        R, t : ndarray of float64, (3, 3) and (3,)
+            Rotation, and translation in mm.
+        """
         left, _, right = np.linalg.svd(np.asarray(self.R))
         return left @ right, np.asarray(self.t_mm, dtype=np.float64)
 

@@ -59,7 +59,12 @@ class IlluminationMap(Frozen):
         return self
 
     def values(self) -> Floats:
-        """Illumination over the image centre's, (row, col).
+        """Illumination over the image centre's.
+
+        Returns
+        -------
+        ndarray of float64, (row, col)
+            Ratio, 0 or more.
 
         Raises
         ------
