@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -30,6 +30,11 @@ def fusion_rules(incomplete: str) -> list[str]:
     return [name for name in decode.rules() if name.startswith(incomplete)]
 
 
+def output(help_: str) -> Any:
+    """The option that says where to write, with what is written."""
+    return typer.Option("-o", "--output", help=help_)
+
+
 SceneName = Annotated[
     str, typer.Argument(help="A shipped scene's name, or a TOML file.", autocompletion=scene_names)
 ]
@@ -39,7 +44,7 @@ Settings = Annotated[
         "--set", metavar="KEY=VALUE", help="Override a key of the scene; may be repeated."
     ),
 ]
-Folder = Annotated[Path | None, typer.Option("-o", "--output", help="Folder to write.")]
+Folder = Annotated[Path | None, output("Folder to write.")]
 PhaseError = Annotated[
     float | None,
     typer.Option(

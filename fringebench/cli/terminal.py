@@ -22,6 +22,14 @@ def print_json(value: Any) -> None:
     sys.stdout.write(json.dumps(value, indent=2, allow_nan=False) + "\n")
 
 
+def answer(as_json: bool, data: Any, text: str) -> None:
+    """Print `data` as JSON, or `text`."""
+    if as_json:
+        print_json(data)
+    else:
+        say(text)
+
+
 def say(line: str) -> None:
     """Print a line as it is: neither wrapped nor coloured."""
     sys.stdout.write(line + "\n")

@@ -8,10 +8,10 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from fringebench.cli import shared_options as opt
 from fringebench.cli.outputs import check_outputs
 from fringebench.cli.overrides import part_names
-from fringebench.cli.shared_options import AsJson, Fusion, MmPerUnit, PartNames, ShowProgress
-from fringebench.cli.terminal import print_figures, print_json, progress_steps, say
+from fringebench.cli.terminal import answer, print_figures, print_json, progress_steps, say
 from fringebench.progress import Mode
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def import_capture(
     manifest: Annotated[
         Path, typer.Argument(help="A manifest TOML: which image shows what (see docs/import.md).")
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Stack file.")] = Path("stack.exr"),
+    output: Annotated[Path, opt.output("Stack file.")] = Path("stack.exr"),
     check: Annotated[
         bool,
         typer.Option("--check", help="Only check linearity, order and periods; write nothing."),
@@ -41,7 +41,7 @@ def import_capture(
             "--equalise", help="Divide out a source that flickers or drifts between frames."
         ),
     ] = False,
-    progress: ShowProgress = Mode.AUTO,
+    progress: opt.ShowProgress = Mode.AUTO,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the checks and the stack's data as JSON.")
     ] = False,
@@ -135,18 +135,16 @@ def stereo(
         tuple[float, float],
         typer.Option(metavar="NEAR FAR", help="Depths to search in front of the first camera."),
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Reconstruction file.")] = Path(
-        "reconstruction.exr"
-    ),
-    mm_per_unit: MmPerUnit = None,
-    fusion: Fusion = "max-modulation",
-    name: PartNames = [],  # noqa: B006
+    output: Annotated[Path, opt.output("Reconstruction file.")] = Path("reconstruction.exr"),
+    mm_per_unit: opt.MmPerUnit = None,
+    fusion: opt.Fusion = "max-modulation",
+    name: opt.PartNames = [],  # noqa: B006
     roi: Annotated[
         tuple[int, int, int, int] | None,
         typer.Option(metavar="ROW0 ROW1 COL0 COL1", help="Only this region of the first camera."),
     ] = None,
-    progress: ShowProgress = Mode.AUTO,
-    as_json: AsJson = False,
+    progress: opt.ShowProgress = Mode.AUTO,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Heights from two cameras that saw the same patterns; the projector needs no calibration."""
     check_outputs({"-o": output}, [left, right, *calibration])
@@ -169,8 +167,6 @@ def stereo(
             progress=done,
         )
     rec.write(output)
-    if as_json:
-        found = {"reasons": rec.reason_fractions(), "settings": rec.settings}
-        print_json({"reconstruction": str(output)} | found)
-        return
-    say(f"{output}: {rec.reason_fractions()['ok']:.1%} of the pixels measured")
+    shares = rec.reason_fractions()
+    data = {"reconstruction": str(output), "reasons": shares, "settings": rec.settings}
+    answer(as_json, data, f"{output}: {shares['ok']:.1%} of the pixels measured")

@@ -9,14 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fringebench.cli import shared_options as opt
 from fringebench.cli.overrides import parse_overrides
-from fringebench.cli.shared_options import (
-    PhaseError,
-    RenderNoise,
-    Settings,
-    ShowProgress,
-    scene_names,
-)
 from fringebench.cli.terminal import print_json, progress_steps, say
 from fringebench.progress import Mode
 
@@ -34,12 +28,12 @@ INTERRUPTED = 130
 def dataset(
     scene: Annotated[
         str | None,
-        typer.Argument(help="A shipped scene's name, or a TOML file.", autocompletion=scene_names),
+        typer.Argument(
+            help="A shipped scene's name, or a TOML file.", autocompletion=opt.scene_names
+        ),
     ] = None,
     count: Annotated[int | None, typer.Option(help="How many samples.", min=1)] = None,
-    output: Annotated[
-        str | None, typer.Option("-o", "--output", help="A folder, or any URL that fsspec opens.")
-    ] = None,
+    output: Annotated[str | None, opt.output("A folder, or any URL that fsspec opens.")] = None,
     seed: Annotated[int, typer.Option(help="Sample i depends on this and on i alone.", min=0)] = 0,
     workers: Annotated[
         int | None, typer.Option(help="Processes of one core each. Default: all cores.", min=1)
@@ -96,10 +90,10 @@ def dataset(
     repair: Annotated[
         bool, typer.Option("--repair", help="Make missing, altered and failed samples again.")
     ] = False,
-    settings: Settings = [],  # noqa: B006
-    phase_error: PhaseError = None,
-    render_noise: RenderNoise = None,
-    progress: ShowProgress = Mode.AUTO,
+    settings: opt.Settings = [],  # noqa: B006
+    phase_error: opt.PhaseError = None,
+    render_noise: opt.RenderNoise = None,
+    progress: opt.ShowProgress = Mode.AUTO,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")] = False,
 ) -> None:
     """Make a data set of random samples of a scene, or continue one that was interrupted.

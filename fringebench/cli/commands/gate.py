@@ -8,20 +8,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.markup import escape
 
+from fringebench.cli import shared_options as opt
 from fringebench.cli.outputs import check_outputs
 from fringebench.cli.overrides import parse_overrides
-from fringebench.cli.shared_options import (
-    AsJson,
-    Fusion,
-    PhaseError,
-    RenderNoise,
-    SceneName,
-    Seed,
-    Settings,
-    ShowProgress,
-    scene_names,
+from fringebench.cli.terminal import (
+    answer,
+    answer_console,
+    print_figures,
+    print_json,
+    progress_steps,
+    say,
 )
-from fringebench.cli.terminal import answer_console, print_figures, print_json, progress_steps, say
 from fringebench.progress import Mode
 
 if TYPE_CHECKING:
@@ -29,9 +26,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 
-Folder = Annotated[
-    Path | None, typer.Option("-o", "--output", help="Also write JSON and report.html here.")
-]
+Folder = Annotated[Path | None, opt.output("Also write JSON and report.html here.")]
 
 
 @app.command(epilog="Example: fringebench regress my_package.decoder:decode --baseline mine.json")
@@ -51,7 +46,7 @@ def regress(
         typer.Option(
             "--scene",
             metavar="FILE",
-            autocompletion=scene_names,
+            autocompletion=opt.scene_names,
             help="Judge on this scene instead of the shipped cases; may be repeated.",
         ),
     ] = [],  # noqa: B006
@@ -87,8 +82,8 @@ def regress(
     github: Annotated[
         bool, typer.Option("--github", help="Also print annotations for GitHub Actions.")
     ] = False,
-    progress: ShowProgress = Mode.AUTO,
-    as_json: AsJson = False,
+    progress: opt.ShowProgress = Mode.AUTO,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Compare a decoder with a baseline: exit status 1 if errors, wrong orders, sigma or coverage got worse."""
     from fringebench.gate.ci_formats import (
@@ -99,9 +94,10 @@ def regress(
     )
     from fringebench.gate.regression_gate import SEEDS
     from fringebench.gate.regression_gate import regress as run
+    from fringebench.output_folder import prepare, write_json
 
     steps = progress_steps(progress)
-    folder = _prepared(output)
+    folder = None if output is None else prepare(output)
     check_outputs(
         {"--junit": junit, "--history": history, "--baseline": baseline if update else None},
         [Path(name) for name in scene],
@@ -123,7 +119,6 @@ def regress(
     if junit:
         write_junit(result, junit)
     if folder:
-        from fringebench.output_folder import write_json
         from fringebench.pages.regress_page import regress_report
 
         write_json(result.to_dict(), folder / "regress.json")
@@ -167,38 +162,35 @@ def _print_regression(result: "Regression", baseline: Path | None) -> None:
 @app.command(epilog="Example: fringebench export stack.exr -o frames")
 def export(
     stack: Annotated[Path, typer.Argument(help="A stack EXR.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder to write.")],
+    output: Annotated[Path, opt.output("Folder to write.")],
     projector: Annotated[
         int | None, typer.Option(help="Whose frames, where there are several projectors.")
     ] = None,
-    as_json: AsJson = False,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Write a stack as numbered PNGs and a manifest, for programs that read images."""
     import scenes
     from fringebench.exchange.capture_export import export as run
 
     manifest = str(run(scenes.Stack.read(stack), output, projector))
-    if as_json:
-        print_json({"manifest": manifest})
-    else:
-        say(manifest)
+    answer(as_json, {"manifest": manifest}, manifest)
 
 
 @app.command(epilog="Example: fringebench budget bench --set camera.resolution=[320,240]")
 def budget(
-    scene: SceneName,
-    settings: Settings = [],  # noqa: B006
-    phase_error: PhaseError = None,
-    render_noise: RenderNoise = None,
-    seed: Seed = 0,
+    scene: opt.SceneName,
+    settings: opt.Settings = [],  # noqa: B006
+    phase_error: opt.PhaseError = None,
+    render_noise: opt.RenderNoise = None,
+    seed: opt.Seed = 0,
     repeats: Annotated[int, typer.Option(help="Decodes of each noisy variant.", min=1)] = 4,
-    fusion: Fusion = "max-modulation",
+    fusion: opt.Fusion = "max-modulation",
     saturation: Annotated[
         str, typer.Option(help="reject, or ignore: what a decoder without a saturation mask does.")
     ] = "reject",
     output: Folder = None,
-    progress: ShowProgress = Mode.AUTO,
-    as_json: AsJson = False,
+    progress: opt.ShowProgress = Mode.AUTO,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Find which cause makes which part of the error: causes switched off, and on, one at a time."""
     import scenes
@@ -235,10 +227,3 @@ def parse_seeds(text: str) -> tuple[int, ...]:
     if len(set(found)) < 3:
         raise FringebenchError(f"--seeds '{text}': give at least 3 different seeds")
     return tuple(dict.fromkeys(found))
-
-
-def _prepared(output: Path | None) -> Path | None:
-    """A folder that cannot be written is reported before the work."""
-    from fringebench.output_folder import prepare
-
-    return None if output is None else prepare(output)

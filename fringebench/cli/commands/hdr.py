@@ -6,17 +6,8 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
+from fringebench.cli import shared_options as opt
 from fringebench.cli.overrides import parse_overrides
-from fringebench.cli.shared_options import (
-    AsJson,
-    PhaseError,
-    RenderNoise,
-    SceneName,
-    Seed,
-    Settings,
-    ShowProgress,
-    scene_names,
-)
 from fringebench.cli.terminal import answer_console, print_figures, print_json, progress_steps, say
 from fringebench.progress import Mode
 
@@ -28,7 +19,7 @@ app = typer.Typer()
     "--set camera.resolution=[320,240] -o comparison"
 )
 def compare(
-    scene: SceneName = "bench",
+    scene: opt.SceneName = "bench",
     strategies: Annotated[
         str | None, typer.Option(metavar="LIST", help="Names separated by commas; all by default.")
     ] = None,
@@ -36,10 +27,7 @@ def compare(
         int, typer.Option(help="Captures of each strategy; 2 or more give intervals.", min=1)
     ] = 5,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o", "--output", help="Also write compare.json, figures and report.html here."
-        ),
+        Path | None, opt.output("Also write compare.json, figures and report.html here.")
     ] = None,
     budget: Annotated[
         str,
@@ -59,12 +47,12 @@ def compare(
             "repeat for several."
         ),
     ] = [],  # noqa: B006
-    settings: Settings = [],  # noqa: B006
-    phase_error: PhaseError = None,
-    render_noise: RenderNoise = None,
-    seed: Seed = 0,
-    progress: ShowProgress = Mode.AUTO,
-    as_json: AsJson = False,
+    settings: opt.Settings = [],  # noqa: B006
+    phase_error: opt.PhaseError = None,
+    render_noise: opt.RenderNoise = None,
+    seed: opt.Seed = 0,
+    progress: opt.ShowProgress = Mode.AUTO,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Compare HDR strategies on one rendering, at equal exposure time, number of frames or cycle time."""
     import scenes
@@ -105,7 +93,9 @@ def compare(
 def strategies_by_surface(
     scene: Annotated[
         list[str],
-        typer.Argument(help="Shipped scenes' names, or TOML files.", autocompletion=scene_names),
+        typer.Argument(
+            help="Shipped scenes' names, or TOML files.", autocompletion=opt.scene_names
+        ),
     ] = ["bench", "ink-solder", "interreflection"],  # noqa: B006
     strategies: Annotated[
         str | None, typer.Option(metavar="LIST", help="Names separated by commas; all by default.")
@@ -116,12 +106,12 @@ def strategies_by_surface(
     budget: Annotated[
         str, typer.Option(help="What is equal: equal-time, equal-frames or cycle-time.")
     ] = "cycle-time",
-    settings: Settings = [],  # noqa: B006
-    phase_error: PhaseError = None,
-    render_noise: RenderNoise = None,
-    seed: Seed = 0,
-    progress: ShowProgress = Mode.AUTO,
-    as_json: AsJson = False,
+    settings: opt.Settings = [],  # noqa: B006
+    phase_error: opt.PhaseError = None,
+    render_noise: opt.RenderNoise = None,
+    seed: opt.Seed = 0,
+    progress: opt.ShowProgress = Mode.AUTO,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Show which strategy errs least on which surface: the median height error of every strategy on every region."""
     import scenes

@@ -10,17 +10,9 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from fringebench.cli import shared_options as opt
 from fringebench.cli.outputs import check_outputs
 from fringebench.cli.overrides import parse_overrides
-from fringebench.cli.shared_options import (
-    AsJson,
-    PhaseError,
-    RenderNoise,
-    Seed,
-    Settings,
-    ShowProgress,
-    scene_names,
-)
 from fringebench.cli.terminal import print_figures, print_json, progress_steps, say
 from fringebench.pages.figure_tables import figure_table
 from fringebench.progress import Mode
@@ -39,14 +31,11 @@ def pads(
         typer.Argument(
             metavar="SCENE_OR_STACK",
             help="A shipped scene's name, a TOML file, or frames (stack.exr).",
-            autocompletion=scene_names,
+            autocompletion=opt.scene_names,
         ),
     ] = "spi",
     output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o", "--output", help="Measured pads as CSV, in the columns of SPI machines."
-        ),
+        Path | None, opt.output("Measured pads as CSV, in the columns of SPI machines.")
     ] = None,
     truth: Annotated[
         Path | None, typer.Option("--truth", help="True pads as CSV, in the same columns.")
@@ -71,12 +60,12 @@ def pads(
     gauge: Annotated[
         bool, typer.Option("--gauge", help="Gauge study: repeats, sensors and places.")
     ] = False,
-    settings: Settings = [],  # noqa: B006
-    phase_error: PhaseError = None,
-    render_noise: RenderNoise = None,
-    seed: Seed = 0,
-    progress: ShowProgress = Mode.AUTO,
-    as_json: AsJson = False,
+    settings: opt.Settings = [],  # noqa: B006
+    phase_error: opt.PhaseError = None,
+    render_noise: opt.RenderNoise = None,
+    seed: opt.Seed = 0,
+    progress: opt.ShowProgress = Mode.AUTO,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Measure a board's paste as an inspection machine does: volume, area, height, offset and defects against the truth.
 
@@ -238,11 +227,10 @@ def board_files(
     action: Annotated[Action, typer.Argument(help="check: read the files twice.")],
     folder: Annotated[Path, typer.Argument(help="Folder of the board's Gerber files.")],
     output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", help="Picture (PNG) of paste over copper over outline."),
+        Path | None, opt.output("Picture (PNG) of paste over copper over outline.")
     ] = None,
     bottom: Annotated[bool, typer.Option("--bottom", help="The bottom side.")] = False,
-    as_json: AsJson = False,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Read the layers of one side of a board with two independent readers, and list pads outside the outline.
 

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from fringebench.cli.shared_options import AsJson, Folder, Seed, ShowProgress
+from fringebench.cli import shared_options as opt
 from fringebench.cli.terminal import print_figures, print_json, progress_steps, say
 from fringebench.progress import Mode
 
@@ -27,14 +27,14 @@ def methods(
             help="matt, glossy, black, translucent, solder, grains, mirror or step; may be repeated. Default: all."
         ),
     ] = [],  # noqa: B006
-    output: Folder = None,
+    output: opt.Folder = None,
     resolution: Annotated[
         tuple[int, int], typer.Option(metavar="COLUMNS ROWS", help="Pixels of the cameras.")
     ] = (200, 150),
     samples: Annotated[int, typer.Option(help="As sampling.samples of a scene.", min=1)] = 32,
-    seed: Seed = 0,
-    progress: ShowProgress = Mode.AUTO,
-    as_json: AsJson = False,
+    seed: opt.Seed = 0,
+    progress: opt.ShowProgress = Mode.AUTO,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Measure every surface by every method: fringe projection, stereo by phase, dots or texture, deflectometry.
 

@@ -7,18 +7,16 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from fringebench.cli import shared_options as opt
 from fringebench.cli.outputs import check_outputs
 from fringebench.cli.overrides import parse_overrides, part_names
-from fringebench.cli.shared_options import (
-    AsJson,
-    MmPerUnit,
-    PartNames,
-    SceneName,
-    Seed,
-    Settings,
-    ShowProgress,
+from fringebench.cli.terminal import (
+    answer,
+    answer_console,
+    print_figures,
+    print_json,
+    progress_steps,
 )
-from fringebench.cli.terminal import answer_console, print_figures, print_json, progress_steps, say
 from fringebench.progress import Mode
 
 app = typer.Typer()
@@ -26,7 +24,7 @@ app = typer.Typer()
 
 @app.command(epilog="Example: fringebench twin procam.yml -o mine.toml --distance-mm 600")
 def twin(
-    output: Annotated[Path, typer.Option("-o", "--output", help="Scene TOML to write.")],
+    output: Annotated[Path, opt.output("Scene TOML to write.")],
     distance_mm: Annotated[float, typer.Option(help="Working distance in front of the camera.")],
     calibration: Annotated[
         list[Path], typer.Argument(help="OpenCV calibration: one file, or several.")
@@ -48,12 +46,12 @@ def twin(
         tuple[int, int] | None,
         typer.Option(metavar="COLUMNS ROWS", help="If the file does not say."),
     ] = None,
-    mm_per_unit: MmPerUnit = None,
+    mm_per_unit: opt.MmPerUnit = None,
     second_to_first: Annotated[
         bool, typer.Option(help="R and T take projector points to the camera.")
     ] = False,
-    name: PartNames = [],  # noqa: B006
-    as_json: AsJson = False,
+    name: opt.PartNames = [],  # noqa: B006
+    as_json: opt.AsJson = False,
 ) -> None:
     """Turn a calibration or two data sheets into a scene: the user's own rig in front of a plate, a cap and a step."""
     check_outputs({"-o": output}, calibration)
@@ -79,29 +77,27 @@ def twin(
         sheets = rig_of_sheets(camera, projector, distance_mm, baseline_mm)
         scene = make(sheets.calibration, output.stem, distance_mm, sheets.sensor)
     scenes.save(scene, output)
-    if as_json:
-        print_json({"scene": str(output)})
-        return
     eye, light = scene.camera.projection(), scene.projectors[0].projection()
-    say(
+    answer(
+        as_json,
+        {"scene": str(output)},
         f"{output}: camera {eye.width} x {eye.height}, projector {light.width} x {light.height}, "
-        f"z = 0 at {distance_mm:g} mm; next: fringebench run {output}"
+        f"z = 0 at {distance_mm:g} mm; next: fringebench run {output}",
     )
 
 
 @app.command(epilog="Example: fringebench calibrate bench --poses 20 --board charuco")
 def calibrate(
-    scene: SceneName = "bench",
+    scene: opt.SceneName = "bench",
     board: Annotated[str, typer.Option(help="checkerboard or charuco.")] = "checkerboard",
     poses: Annotated[int, typer.Option(help="Pictures of the chart.", min=4)] = 15,
     output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", help="Also write the calibration (.yml, .xml, .json)."),
+        Path | None, opt.output("Also write the calibration (.yml, .xml, .json).")
     ] = None,
-    settings: Settings = [],  # noqa: B006
+    settings: opt.Settings = [],  # noqa: B006
     seed: Annotated[int, typer.Option(help="Seed of poses, light paths and noise.", min=0)] = 0,
-    progress: ShowProgress = Mode.AUTO,
-    as_json: AsJson = False,
+    progress: opt.ShowProgress = Mode.AUTO,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Render a chart in several poses, calibrate from the images with OpenCV, and compare with the rendered rig."""
     check_outputs({"-o": output}, [scene])
@@ -139,15 +135,15 @@ def calibrate(
 
 @app.command(epilog="Example: fringebench accept mine.toml --limit-um 50")
 def accept(
-    rig: SceneName,
+    rig: opt.SceneName,
     limit_um: Annotated[
         float | None,
         typer.Option(help="Maximum permissible error of every measure; exit status 1 above it."),
     ] = None,
-    settings: Settings = [],  # noqa: B006
-    seed: Seed = 0,
-    progress: ShowProgress = Mode.AUTO,
-    as_json: AsJson = False,
+    settings: opt.Settings = [],  # noqa: B006
+    seed: opt.Seed = 0,
+    progress: opt.ShowProgress = Mode.AUTO,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Acceptance test after VDI/VDE 2634-2 and ISO 10360-13: probing error, sphere distance, flatness."""
     import scenes

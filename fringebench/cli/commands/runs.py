@@ -7,18 +7,8 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
+from fringebench.cli import shared_options as opt
 from fringebench.cli.overrides import parse_overrides
-from fringebench.cli.shared_options import (
-    AsJson,
-    Folder,
-    Fusion,
-    PhaseError,
-    RenderNoise,
-    SceneName,
-    Seed,
-    Settings,
-    ShowProgress,
-)
 from fringebench.cli.terminal import answer_console, print_figures, print_json, progress_steps, say
 from fringebench.progress import Mode
 
@@ -29,15 +19,15 @@ NAIVE_TITLE = "one exposure, saturation ignored (the textbook's warning)"
 
 @app.command(epilog="Example: fringebench run solder --set camera.resolution=[320,240] -o out")
 def run(
-    scene: SceneName = "bench",
-    output: Folder = None,
-    settings: Settings = [],  # noqa: B006
-    phase_error: PhaseError = None,
-    render_noise: RenderNoise = None,
-    seed: Seed = 0,
-    fusion: Fusion = "max-modulation",
-    progress: ShowProgress = Mode.AUTO,
-    as_json: AsJson = False,
+    scene: opt.SceneName = "bench",
+    output: opt.Folder = None,
+    settings: opt.Settings = [],  # noqa: B006
+    phase_error: opt.PhaseError = None,
+    render_noise: opt.RenderNoise = None,
+    seed: opt.Seed = 0,
+    fusion: opt.Fusion = "max-modulation",
+    progress: opt.ShowProgress = Mode.AUTO,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Trace light, expose, decode and score a scene; write every file and a report, and print the scores."""
     import scenes
@@ -69,8 +59,8 @@ def list_scenes(
     schema: Annotated[
         bool, typer.Option("--schema", help="Print the JSON schema of scene files.")
     ] = False,
-    settings: Settings = [],  # noqa: B006
-    as_json: AsJson = False,
+    settings: opt.Settings = [],  # noqa: B006
+    as_json: opt.AsJson = False,
 ) -> None:
     """List the shipped scenes, print one's TOML, or print the schema."""
     import scenes
@@ -99,10 +89,10 @@ def list_scenes(
 
 @app.command(epilog="Example: fringebench chapter -o figures --json")
 def chapter(
-    output: Folder = None,
-    seed: Seed = 0,
-    progress: ShowProgress = Mode.AUTO,
-    as_json: AsJson = False,
+    output: opt.Folder = None,
+    seed: opt.Seed = 0,
+    progress: opt.ShowProgress = Mode.AUTO,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Repeat the textbook chapter's experiments; compare its figures with theory and with what is measured."""
     from fringebench.experiments.textbook import run as run_chapter
@@ -118,7 +108,7 @@ def chapter(
 
 
 @app.command(epilog="Example: fringebench doctor --json")
-def doctor(as_json: AsJson = False) -> None:
+def doctor(as_json: opt.AsJson = False) -> None:
     """Show what this machine has, and what to do about what is missing."""
     from fringebench.diagnosis import diagnose
 

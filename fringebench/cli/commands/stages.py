@@ -6,19 +6,17 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
+from fringebench.cli import shared_options as opt
 from fringebench.cli.outputs import check_outputs
 from fringebench.cli.overrides import override_exposed, parse_overrides
-from fringebench.cli.shared_options import (
-    AsJson,
-    Fusion,
-    PhaseError,
-    RenderNoise,
-    SceneName,
-    Seed,
-    Settings,
-    ShowProgress,
+from fringebench.cli.terminal import (
+    answer,
+    answer_console,
+    print_figures,
+    print_json,
+    progress_steps,
+    say,
 )
-from fringebench.cli.terminal import answer_console, print_figures, print_json, progress_steps, say
 from fringebench.progress import Mode
 
 app = typer.Typer()
@@ -26,17 +24,15 @@ app = typer.Typer()
 
 @app.command("render", epilog="Example: fringebench render step -o transport.exr --truth truth.exr")
 def render_scene(
-    scene: SceneName,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Transport file.")] = Path(
-        "transport.exr"
-    ),
+    scene: opt.SceneName,
+    output: Annotated[Path, opt.output("Transport file.")] = Path("transport.exr"),
     truth: Annotated[
         Path | None, typer.Option(help="Also write the truth maps to this file.")
     ] = None,
-    settings: Settings = [],  # noqa: B006
-    phase_error: PhaseError = None,
-    render_noise: RenderNoise = None,
-    seed: Seed = 0,
+    settings: opt.Settings = [],  # noqa: B006
+    phase_error: opt.PhaseError = None,
+    render_noise: opt.RenderNoise = None,
+    seed: opt.Seed = 0,
     samples: Annotated[
         int | None,
         typer.Option(
@@ -47,8 +43,8 @@ def render_scene(
         int | None,
         typer.Option(help="Maximum number of surfaces on a light path; 1: direct light.", min=1),
     ] = None,
-    progress: ShowProgress = Mode.AUTO,
-    as_json: AsJson = False,
+    progress: opt.ShowProgress = Mode.AUTO,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Trace a scene's light transport, once, for all its patterns."""
     check_outputs({"-o": output, "--truth": truth}, [scene])
@@ -96,7 +92,7 @@ def render_scene(
 )
 def expose(
     transport: Annotated[Path, typer.Argument(help="A transport EXR, written by render.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Stack file.")] = Path("stack.exr"),
+    output: Annotated[Path, opt.output("Stack file.")] = Path("stack.exr"),
     exposure_ms: Annotated[
         list[float], typer.Option(help="Exposure time; may be repeated. Default: the scene's own.")
     ] = [],  # noqa: B006
@@ -109,8 +105,8 @@ def expose(
         ),
     ] = [],  # noqa: B006
     seed: Annotated[int, typer.Option(help="Seed of sensor noise.", min=0)] = 0,
-    progress: ShowProgress = Mode.AUTO,
-    as_json: AsJson = False,
+    progress: opt.ShowProgress = Mode.AUTO,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Turn transport into frames of digital numbers: exposures, noise, clipping."""
     check_outputs({"-o": output}, [transport])
@@ -128,13 +124,11 @@ def expose(
             progress=done,
         )
         stack.write(output)
-    if as_json:
-        levels = {"exposure_ms": stack.exposure_ms, "saturation_dn": stack.saturation_dn}
-        print_json({"stack": str(output), "shape": stack.frames.shape} | levels)
-        return
+    levels = {"exposure_ms": stack.exposure_ms, "saturation_dn": stack.saturation_dn}
     times = ", ".join(f"{time:.4g}" for time in stack.exposure_ms)
     frames, rows, columns = stack.frames.shape[1:]
-    say(f"{output}: {frames} frames at {times} ms, {columns} x {rows} px")
+    said = f"{output}: {frames} frames at {times} ms, {columns} x {rows} px"
+    answer(as_json, {"stack": str(output), "shape": stack.frames.shape} | levels, said)
 
 
 @app.command(
@@ -142,10 +136,8 @@ def expose(
 )
 def decode_stack(
     stack: Annotated[Path, typer.Argument(help="A stack EXR, written by expose or import.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Reconstruction file.")] = Path(
-        "reconstruction.exr"
-    ),
-    fusion: Fusion = "max-modulation",
+    output: Annotated[Path, opt.output("Reconstruction file.")] = Path("reconstruction.exr"),
+    fusion: opt.Fusion = "max-modulation",
     unwrap: Annotated[
         str | None, typer.Option(help="Unwrapping: temporal, row-scan, quality-guided.")
     ] = None,
@@ -209,8 +201,8 @@ def decode_stack(
     matcher: Annotated[
         str | None, typer.Option(help="Two cameras without fringes: sgbm, bm.")
     ] = None,
-    progress: ShowProgress = Mode.AUTO,
-    as_json: AsJson = False,
+    progress: opt.ShowProgress = Mode.AUTO,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Reconstruct heights from a stack."""
     check_outputs({"-o": output}, [stack])
@@ -267,13 +259,11 @@ def evaluate(
         Path, typer.Argument(help="A reconstruction EXR, written by decode.")
     ],
     truth: Annotated[Path, typer.Argument(help="A truth EXR, written by render --truth.")],
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Also write the scores to this JSON file.")
-    ] = None,
+    output: Annotated[Path | None, opt.output("Also write the scores to this JSON file.")] = None,
     force: Annotated[
         bool, typer.Option("--force", help="Score even if the truth is of another scene or rig.")
     ] = False,
-    as_json: AsJson = False,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Score a reconstruction against the truth."""
     check_outputs({"-o": output}, [reconstruction, truth])
@@ -292,9 +282,7 @@ def evaluate(
     from fringebench.experiments.noise_summary import describe_regions
     from fringebench.pages.score_tables import extra_tables, score_table
 
-    print_figures([score_table(score, escape(str(reconstruction)))])
-    for table in extra_tables(score):
-        print_figures([table])
+    print_figures([score_table(score, escape(str(reconstruction))), *extra_tables(score)])
     if said := describe_regions(score):
         answer_console().print(said, soft_wrap=True)
     beyond = [

@@ -7,9 +7,10 @@ from typing import Annotated
 
 import typer
 
+from fringebench.cli import shared_options as opt
 from fringebench.cli.outputs import check_outputs
 from fringebench.cli.overrides import parse_overrides
-from fringebench.cli.terminal import print_json, say
+from fringebench.cli.terminal import answer
 
 app = typer.Typer()
 
@@ -20,10 +21,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of text
 def view(
     file: Annotated[Path, typer.Argument(help="A transport, stack, truth or reconstruction EXR.")],
     output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o", "--output", help="Page (.html) or contact sheet (.png); default: NAME.html here."
-        ),
+        Path | None, opt.output("Page (.html) or contact sheet (.png); default: NAME.html here.")
     ] = None,
     truth: Annotated[
         Path | None, typer.Option(help="A truth EXR: adds the errors of a reconstruction.")
@@ -37,7 +35,7 @@ def view(
     target = output or Path(f"{file.stem}.html")
     check_outputs({"-o": target}, [file] if truth is None else [file, truth])
     write_view(read_view(file, truth), file, target)
-    _answer({"file": str(target)}, str(target), as_json)
+    answer(as_json, {"file": str(target)}, str(target))
     if show and not webbrowser.open(target.resolve().as_uri()):
         sys.stderr.write(f"fringebench: no browser found: open {target} yourself\n")
 
@@ -49,10 +47,8 @@ def convert(
     ],
     output: Annotated[
         Path,
-        typer.Option(
-            "-o",
-            "--output",
-            help="Heights: .png .tif (16 bits). Surface: .ply .obj .glb. Scene: .glb .obj .ply .stl.",
+        opt.output(
+            "Heights: .png .tif (16 bits). Surface: .ply .obj .glb. Scene: .glb .obj .ply .stl."
         ),
     ],
     truth: Annotated[
@@ -71,11 +67,4 @@ def convert(
     from fringebench.exchange.conversion import convert as run
 
     contents = run(source, output, truth, points, parse_overrides(settings))
-    _answer({"file": str(output), "holds": contents}, f"{output}: {contents}", as_json)
-
-
-def _answer(data: dict[str, str], text: str, as_json: bool) -> None:
-    if as_json:
-        print_json(data)
-    else:
-        say(text)
+    answer(as_json, {"file": str(output), "holds": contents}, f"{output}: {contents}")
