@@ -15,7 +15,7 @@ from scenes.acquisition.patterns import Axis
 from scenes.files import exr
 from scenes.rig.calibration import Calibration
 from scenes.support.errors import DecodeError, FileError
-from scenes.support.notebook import Displayed, Plane
+from scenes.support.notebook import Displayed, PreviewPlane
 from scenes.support.validation_words import in_words
 
 KIND = "reconstruction"
@@ -84,7 +84,7 @@ class Reconstruction(Displayed):
     scene: str = ""
     """TOML of the scene that the stack was made from; empty for real captures."""
     identity: exr.Identity = field(default_factory=dict)
-    """Digests of the scene and rig that the stack was made from, see `scenes.identity`; empty: not known."""
+    """Digests of the scene and rig that the stack was made from, see `scenes.scene_identity`; empty: not known."""
     slope: Image | None = None
     """(2, row, col) slopes dz/dx and dz/dy of the surface in the world, measured by deflectometry; None: not measured."""
     slope_sigma: Image | None = None
@@ -98,15 +98,15 @@ class Reconstruction(Displayed):
         facts = {"size": f"{columns} x {rows} px", "valid": valid, "rejected": rejected}
         return facts if self.order_known else facts | {"order": ORDER_UP_TO_TURNS}
 
-    def _planes(self) -> list[Plane]:
+    def _planes(self) -> list[PreviewPlane]:
         planes = [
-            Plane("Height", "mm", np.where(self.valid, self.height_mm, np.nan)),
-            Plane("Modulation", "DN", self.modulation_dn),
-            Plane("Predicted sigma", "mm", np.where(self.valid, self.sigma_mm, np.nan)),
+            PreviewPlane("Height", "mm", np.where(self.valid, self.height_mm, np.nan)),
+            PreviewPlane("Modulation", "DN", self.modulation_dn),
+            PreviewPlane("Predicted sigma", "mm", np.where(self.valid, self.sigma_mm, np.nan)),
         ]
         if self.slope is not None:
             planes += [
-                Plane(f"Slope dz/d{axis}", "rad", np.where(self.valid, values, np.nan))
+                PreviewPlane(f"Slope dz/d{axis}", "rad", np.where(self.valid, values, np.nan))
                 for axis, values in zip("xy", self.slope, strict=True)
             ]
         return [plane for plane in planes if np.isfinite(plane.values).any()] or planes[:1]

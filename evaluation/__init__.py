@@ -1,7 +1,7 @@
 """Evaluation of reconstructions: scores, features, point clouds, figures. Renders nothing."""
 
 from evaluation.hdr.capture_strategies import Strategy
-from evaluation.hdr.registry import strategies
+from evaluation.hdr.strategy_lookup import strategies
 from evaluation.inspection.pad_limits import (
     PadLimits,
     confusion,

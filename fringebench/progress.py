@@ -152,7 +152,7 @@ class _Pace:
     due_s: float
 
 
-class _Lines:
+class _PlainLines:
     """Progress of one step as plain lines, every few seconds."""
 
     def __init__(self, console: Console, name: str, resumes: bool, pace: _Pace) -> None:
@@ -184,7 +184,7 @@ def _lines(
 ) -> Iterator[Show]:
     """Lines from the start if they were requested, else only once the work takes long."""
     start = time.monotonic()
-    lines = _Lines(console, name, resumes, _Pace(start + PLAIN_S) if requested else pace)
+    lines = _PlainLines(console, name, resumes, _Pace(start + PLAIN_S) if requested else pace)
     if requested or start >= pace.due_s:
         lines.say("started")
     yield lines.report

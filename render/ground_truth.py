@@ -22,11 +22,11 @@ from render.plugins.variant import mi, use
 from render.transport import Transport
 from scenes.acquisition.patterns import PhaseShift
 from scenes.files.truth_maps import Truth
-from scenes.identity import PARTS, identity
 from scenes.rig.projection import Projection
 from scenes.rig.projectors import Screen
 from scenes.scene import Scene
 from scenes.scene_files import dumps
+from scenes.scene_identity import PARTS, identity
 from scenes.scene_meshes import Part
 from scenes.shapes.materials import Diffuse
 from scenes.support.errors import RenderError

@@ -16,7 +16,7 @@ from scenes.scene import Sampling, Scene
 from scenes.scene_files import dumps, parse
 from scenes.support import mapped
 from scenes.support.errors import FileError, RenderError, SceneError
-from scenes.support.notebook import Displayed, Plane
+from scenes.support.notebook import Displayed, PreviewPlane
 from scenes.support.validation_words import in_words
 
 KIND = "transport"
@@ -114,7 +114,7 @@ class Transport(Displayed):
     """Of the shape of `noise_rad`: standard deviation of that fringe's modulation from light paths alone, W/(m^2 sr). Behind a lens
     it disturbs the phase of neighbours. None: not known."""
     identity: exr.Identity = field(default_factory=dict)
-    """Digests of what was traced, see `scenes.identity`; empty: not known."""
+    """Digests of what was traced, see `scenes.scene_identity`; empty: not known."""
 
     @property
     def render_noise_rad(self) -> NDArray[np.float32] | None:
@@ -136,9 +136,9 @@ class Transport(Displayed):
             "seed": str(self.seed),
         }
 
-    def _planes(self) -> list[Plane]:
+    def _planes(self) -> list[PreviewPlane]:
         return [
-            Plane(f"Projector {p}: {basis.channels[0].name}", "W/(m² sr)", self.total[p, 0])
+            PreviewPlane(f"Projector {p}: {basis.channels[0].name}", "W/(m² sr)", self.total[p, 0])
             for p, basis in enumerate(self.bases)
         ]
 

@@ -1,6 +1,7 @@
 """The packages have no import circle, folders of few modules, and no module with a name of two meanings."""
 
 import ast
+from collections import Counter
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -36,4 +37,14 @@ def test_no_module_has_the_name_of_a_function_or_an_imported_package() -> None:
         elif isinstance(node, ast.ImportFrom) and node.module:
             packages.add(node.module.partition(".")[0])
     modules = {path.parent.name if path.stem == "__init__" else path.stem for path in files}
-    assert not modules & (functions | packages) - set(ROOMS)
+    clashes = modules & (functions | packages) - set(ROOMS)
+    assert clashes == set()
+
+
+def test_no_two_classes_and_no_two_modules_have_one_name() -> None:
+    files = [path for room in ROOMS for path in (ROOT / room).rglob("*.py")]
+    modules = Counter(path.stem for path in files if not path.stem.startswith("__"))
+    trees = [ast.parse(path.read_text("utf-8")) for path in files]
+    classes = Counter(n.name for tree in trees for n in tree.body if isinstance(n, ast.ClassDef))
+    twice = {name for name, count in (modules + classes).items() if count > 1}
+    assert twice == set()

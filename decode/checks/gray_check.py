@@ -32,7 +32,7 @@ def gray_code(stack: Stack, gray: GraySet, resolution: tuple[int, int] | None) -
     (columns, rows).
     """
     name = f"{gray.axis} Gray code"
-    look = _Look.at(stack, gray)
+    look = _GraySamples.at(stack, gray)
     if look.good.mean() < 1e-3:
         yield Finding(name, "wrong", "no pixel shows the code: bright and dark do not differ")
         return
@@ -78,7 +78,7 @@ def flats(stack: Stack, gray: GraySet) -> Iterator[Finding]:
 
 
 @dataclass(frozen=True)
-class _Look:
+class _GraySamples:
     """A Gray code on some lines of the image, along its axis."""
 
     bits: NDArray[np.bool_]
@@ -94,7 +94,7 @@ class _Look:
     without inverses."""
 
     @classmethod
-    def at(cls, stack: Stack, gray: GraySet) -> "_Look":
+    def at(cls, stack: Stack, gray: GraySet) -> "_GraySamples":
         """Evenly spread lines of the longest exposure."""
         frames = stack.frames[int(np.argmax(stack.exposure_ms))]
         frames = frames if gray.axis == "column" else frames.swapaxes(1, 2)
@@ -149,7 +149,7 @@ def _codes(bits: NDArray[np.bool_], plain: bool) -> NDArray[np.int32]:
     return code
 
 
-def _smoothness(look: _Look, name: str) -> Finding:
+def _smoothness(look: _GraySamples, name: str) -> Finding:
     """Neighbouring pixels see neighbouring cells: no exchange or inversion of bits may make the code smoother."""
     # Bits hidden by blur carry no order, and their noise would hide the others.
     share = look.clear[:, look.good].mean(axis=1) > CLEARLY

@@ -11,7 +11,7 @@ from scenes.files.stack import Stack
 
 
 @dataclass(frozen=True)
-class AutoExposure(FusionRule):
+class AutoExposureRule(FusionRule):
     """One exposure for the whole image, chosen from its histogram (Ekstrand & Zhang 2011): the longest in which at most
     `clipped_fraction` of the pixels have a saturated step; the shortest if none is so.
     """

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from importlib.metadata import EntryPoints, entry_points
 
 from decode.fusion.censored_likelihood import CensoredMl
-from decode.fusion.choosing import AutoExposure, BrightestUnsaturated
+from decode.fusion.choosing import AutoExposureRule, BrightestUnsaturated
 from decode.fusion.interface import FusionRule, MaxModulation, Single
 from decode.fusion.least_squares import InverseVariance, MaskedLeastSquares
 from decode.fusion.merging import PhasorSum, RadianceMerge
@@ -20,7 +20,7 @@ ENTRY_POINT_GROUP = "fringebench.fusion"
 
 RULES: dict[str, Callable[[], FusionRule]] = {
     "single": Single,
-    "auto-exposure": AutoExposure,
+    "auto-exposure": AutoExposureRule,
     "brightest-unsaturated": BrightestUnsaturated,
     "max-modulation": MaxModulation,
     "radiance-merge": RadianceMerge,

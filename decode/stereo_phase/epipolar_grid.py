@@ -28,7 +28,7 @@ MOST_NODES = 4
 
 
 @dataclass(frozen=True)
-class Baseline:
+class CameraBaseline:
     """The line through two cameras' centres, and directions square to it, as unit vectors."""
 
     origin_mm: Floats
@@ -38,7 +38,7 @@ class Baseline:
     """(2, 3)."""
 
     @classmethod
-    def of(cls, left: Projection, right: Projection) -> "Baseline":
+    def of(cls, left: Projection, right: Projection) -> "CameraBaseline":
         """From the left camera to the right one; planes are measured from the left camera's axis."""
         way = right.origin_mm - left.origin_mm
         length = float(np.linalg.norm(way))
@@ -75,7 +75,7 @@ class Baseline:
 class EpipolarGrid:
     """The right camera's coordinates on a grid of epipolar lines."""
 
-    baseline: Baseline
+    baseline: CameraBaseline
     plane_rad: Floats
     """Of the rows, evenly spaced."""
     along_rad: Floats
@@ -85,7 +85,11 @@ class EpipolarGrid:
 
     @classmethod
     def of(
-        cls, baseline: Baseline, right: Projection, at_px: Mapping[Axis, Floats], planes: Floats
+        cls,
+        baseline: CameraBaseline,
+        right: Projection,
+        at_px: Mapping[Axis, Floats],
+        planes: Floats,
     ) -> "EpipolarGrid":
         """The grid over the planes (any shape, rad) that left pixels look along, about one node a right pixel."""
         rows, columns = next(iter(at_px.values())).shape

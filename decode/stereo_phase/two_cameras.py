@@ -20,7 +20,7 @@ from decode.options import Anchor, Backend, Gamma, Options, Roi, Saturation, Unw
 from decode.phase.n_step import TURN, fringe_sets, solution
 from decode.reason import Reason
 from decode.reconstruction import Reconstruction
-from decode.stereo_phase.epipolar_grid import Baseline, EpipolarGrid, interpolated
+from decode.stereo_phase.epipolar_grid import CameraBaseline, EpipolarGrid, interpolated
 from scenes.acquisition.fringe_fit import STRAY_FRACTION
 from scenes.acquisition.patterns import Axis
 from scenes.files.stack import Stack
@@ -256,7 +256,7 @@ class _Search:
         """Left pixels (n,) that have a candidate, and the best one's height, mm."""
         if not rows.size:
             return np.empty(0, np.intp), np.empty(0)
-        baseline = Baseline.of(self.left_camera, self.right_camera)
+        baseline = CameraBaseline.of(self.left_camera, self.right_camera)
         plane, along = baseline.angles(direction)
         grid = EpipolarGrid.of(baseline, self.right_camera, self.right.at_px, plane)
         cell_px = self.left.rec.phases[self.axis].period_px if self.axis in self.left.coded else 0.0

@@ -73,7 +73,9 @@ def contradicted(
         # A first pass that misses nothing: the maximum over a few steps, then over those maxima.
         near = cv2.dilate(stated, short) + lines.aside_px
         at = np.flatnonzero((cv2.dilate(near, long) > mine) & ~bright)
-        look = _Look(mine.reshape(-1)[at], stated.reshape(-1), near.reshape(-1), claims.level, way)
+        look = _LineSamples(
+            mine.reshape(-1)[at], stated.reshape(-1), near.reshape(-1), claims.level, way
+        )
         found.reshape(-1)[at[_out_of_order(look, lines, at)]] = True
     return found
 
@@ -91,7 +93,7 @@ def image_lead(
 
 
 @dataclass(frozen=True)
-class _Look:
+class _LineSamples:
     """Coordinates of some pixels, and those along their lines one way; flat."""
 
     mine: NDArray[np.float32]
@@ -106,7 +108,7 @@ class _Look:
     """1: towards larger coordinates, and coordinates are negated; -1: towards smaller."""
 
 
-def _out_of_order(look: _Look, lines: "_Lines", at: NDArray[np.intp]) -> NDArray[np.bool_]:
+def _out_of_order(look: _LineSamples, lines: "_Lines", at: NDArray[np.intp]) -> NDArray[np.bool_]:
     """For which pixels with flat indices `at` a coordinate on their lines exceeds their own.
 
     Between two pixels a line is as much in the one as in the other, and both must contradict: where a surface's edge runs

@@ -12,7 +12,7 @@ import numpy as np
 
 import decode
 from decode import FusionRule, Reconstruction
-from decode.fusion.choosing import AutoExposure
+from decode.fusion.choosing import AutoExposureRule
 from decode.fusion.merging import MeanOfSets
 from evaluation.hdr.light_budget import LightBudget, Reference, Shoot, Shot
 from scenes.acquisition.patterns import Patterns, PhaseShift
@@ -82,7 +82,7 @@ def metered(shoot: Shoot, reference: Reference, budget: LightBudget) -> PlannedC
     pictures.
     """
     seen = shoot(reference.shot)
-    chosen = AutoExposure().prepare(seen).exposure
+    chosen = AutoExposureRule().prepare(seen).exposure
     assert chosen is not None
     shot = Shot(reference.patterns, (reference.times_ms[chosen],))
     return take(shoot, reference, reference.filled(budget, shot))

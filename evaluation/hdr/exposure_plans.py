@@ -39,7 +39,7 @@ PERCENT = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class _Look:
+class _FirstLook:
     """What first pictures showed of some pixels."""
 
     shot: Shot
@@ -51,7 +51,7 @@ class _Look:
     sensor: Sensor
 
     @classmethod
-    def at(cls, shoot: Shoot, reference: Reference) -> "_Look":
+    def at(cls, shoot: Shoot, reference: Reference) -> "_FirstLook":
         """Three steps of both fringes at the shortest and the middle exposure; of several projectors each pixel's best."""
         base = reference.patterns
         assert isinstance(base, PhaseShift)
@@ -123,7 +123,7 @@ def planned(shoot: Shoot, reference: Reference, budget: LightBudget) -> PlannedC
     Series of 1 to 4 exposures in a constant ratio are tried, each repeated as the budget allows; pictures before them are
     counted. Under ``equal-frames``, where time is free, no exposure is longer than the reference's longest.
     """
-    look = _Look.at(shoot, reference)
+    look = _FirstLook.at(shoot, reference)
     longest = max(reference.times_ms) * (1.0 if budget == "equal-frames" else BEYOND)
     octaves = np.log2(longest / min(reference.times_ms))
     tops = longest * 2.0 ** -np.arange(0.0, octaves + 0.5 / TOPS_PER_OCTAVE, 1.0 / TOPS_PER_OCTAVE)
@@ -161,7 +161,7 @@ def clustered(shoot: Shoot, reference: Reference, budget: LightBudget) -> Planne
     cluster's shortest time, here the first percentile. Pixels that need more than four times the longest exposure count as
     needing that.
     """
-    look = _Look.at(shoot, reference)
+    look = _FirstLook.at(shoot, reference)
     sensor = look.sensor
     peaks = [light.offset + np.hypot(light.cosine, light.sine) for light in look.lights]
     peak = np.max(peaks, axis=0) * _dn_per_light(sensor, 1.0)

@@ -17,7 +17,7 @@ from scipy import ndimage
 from decode import Reconstruction
 from evaluation.scoring.disparity import DisparityScore, disparity_scores
 from evaluation.scoring.feature_fits import Feature, features
-from evaluation.scoring.identity import other_unit, require_same_scene
+from evaluation.scoring.scene_match import other_unit, require_same_scene
 from evaluation.scoring.slope_errors import SlopeScore, slope_scores
 from scenes.files.truth_maps import Truth
 from scenes.support.atomic_file import replacing

@@ -109,7 +109,7 @@ class Chart:
 
 
 @dataclass(frozen=True)
-class Pose:
+class ChartPose:
     """Position and orientation of a chart in the world."""
 
     rotation_deg: tuple[float, float, float]
@@ -132,7 +132,7 @@ def fitting(scene: Scene, kind: Kind) -> Chart:
     return Chart(kind, FILLS * min(width / squares[0], height / squares[1]))
 
 
-def poses(scene: Scene, chart: Chart, count: int, rng: np.random.Generator) -> list[Pose]:
+def poses(scene: Scene, chart: Chart, count: int, rng: np.random.Generator) -> list[ChartPose]:
     """Random poses in which both devices see every corner, tilted, near and far.
 
     Raises `RenderError` where the fields of view leave no room.
@@ -144,7 +144,7 @@ def poses(scene: Scene, chart: Chart, count: int, rng: np.random.Generator) -> l
     outline = np.array(
         [[x, y, 0.0] for x in (-width / 2, width / 2) for y in (-height / 2, height / 2)]
     )
-    found: list[Pose] = []
+    found: list[ChartPose] = []
     for _ in range(TRIES):
         # The golden angle spreads the tilts evenly around the axis.
         around = 2.0 * np.pi * (len(found) + rng.uniform(-0.4, 0.4)) * 0.381966
@@ -155,7 +155,7 @@ def poses(scene: Scene, chart: Chart, count: int, rng: np.random.Generator) -> l
             float(rng.uniform(-TURN_DEG, TURN_DEG)),
         )
         x, y = field.middle_mm + rng.uniform(-STRAY, STRAY, 2) * field.size_mm
-        pose = Pose(rotation, (float(x), float(y), float(rng.uniform(-reach, reach))))
+        pose = ChartPose(rotation, (float(x), float(y), float(rng.uniform(-reach, reach))))
         if all(_sees(device, pose, outline) for device in (camera, light)):
             found.append(pose)
             if len(found) == count:
@@ -166,7 +166,7 @@ def poses(scene: Scene, chart: Chart, count: int, rng: np.random.Generator) -> l
     )
 
 
-def _sees(device: Projection, pose: Pose, outline: Floats) -> bool:
+def _sees(device: Projection, pose: ChartPose, outline: Floats) -> bool:
     points = pose.place(outline)
     pixels = device.project(points)[0]
     inside = (pixels > 2.0) & (pixels < (device.width - 2.0, device.height - 2.0))

@@ -20,7 +20,7 @@ from evaluation.hdr.comparison import (
     summary,
 )
 from evaluation.hdr.light_budget import BUDGETS, LightBudget, Reference, Shoot, Shot
-from evaluation.hdr.registry import strategies
+from evaluation.hdr.strategy_lookup import strategies
 from evaluation.theory.cramer_rao import FringeLight, phase_bound_rad2
 from fringebench.experiments.noise_summary import figures
 from fringebench.gate.decoders import Decoder

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 import decode
 import render
-from fringebench.experiments.chart import Chart, Kind, Pose, fitting, poses
+from fringebench.experiments.chart import Chart, ChartPose, Kind, fitting, poses
 from fringebench.progress import Steps
 from scenes import Calibration, Scene
 from scenes.rig.devices import Pinhole
@@ -137,7 +137,7 @@ def calibrate(
         return _calibrated(scene, views)
 
 
-def _posed(scene: Scene, chart: Chart, pose: Pose) -> Scene:
+def _posed(scene: Scene, chart: Chart, pose: ChartPose) -> Scene:
     """The rig in front of a chart, showing fringes along both axes."""
     light = scene.projectors[0]
     periods = [max(4.0, np.ceil(max(light.resolution) / 64.0))]

@@ -10,15 +10,15 @@ from render.fringe_phasor import finest_fringes
 from render.pathtracer.noise_of_samples import BAND, phasor_noise
 from render.pathtracer.path_kernel import Pass
 from render.pathtracer.pixel_centres import label_map
-from render.pathtracer.tile_survey import Tiles, survey
+from render.pathtracer.tile_survey import TileGrid, survey
 from render.plugins.lens import optics
 from render.plugins.screen_light import light_of
 from render.plugins.shared_surfaces import Surfaces, shared
 from render.plugins.variant import dr, mi, use
 from render.transport import Transport
 from scenes.acquisition.pattern_basis import Basis, basis
-from scenes.identity import identity
 from scenes.scene import MAX_SAMPLES, Scene
+from scenes.scene_identity import identity
 from scenes.support.errors import RenderError
 from scenes.support.memory import room_for
 
@@ -66,7 +66,7 @@ def trace(
     images = 2 * len(bases) * max(len(b.channels) for b in bases) + 1
     # In addition to the images: a tile three times (kernel, copies), and memory to find labels. Dr.Jit crashes without memory.
     tile = min(TILE_NUMBERS, images * width * height)
-    tiles = Tiles.of(scene.camera.resolution, samples)
+    tiles = TileGrid.of(scene.camera.resolution, samples)
     with room_for(
         4 * images * (width * height + min(BAND, width * height))
         + 12 * tile
@@ -90,7 +90,7 @@ def _traced(
     scene: Scene,
     surfaces: Surfaces,
     bases: tuple[Basis, ...],
-    tiles: Tiles,
+    tiles: TileGrid,
     paths: tuple[int, int, float],
     seed: int,
     progress: Callable[[float], None] | None,
@@ -148,7 +148,7 @@ def set_up(
     scene: Scene,
     surfaces: Surfaces,
     bases: tuple[Basis, ...],
-    tiles: Tiles,
+    tiles: TileGrid,
     depth: int,
     footprint: float,
     seed: int,

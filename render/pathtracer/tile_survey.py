@@ -60,7 +60,7 @@ Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
-class Tiles:
+class TileGrid:
     """The image cut into squares."""
 
     width: int
@@ -69,11 +69,11 @@ class Tiles:
     samples: int
 
     @staticmethod
-    def of(size: tuple[int, int], samples: int) -> "Tiles":
+    def of(size: tuple[int, int], samples: int) -> "TileGrid":
         """Tiles of an image of columns and rows."""
         side = min(TILE_PX_OF_ONE_SAMPLE / samples**0.5, max(size) / FEWEST_TILES)
         side = max(side, SMALLEST_TILE_PX, (size[0] * size[1] / MOST_TILES) ** 0.5)
-        return Tiles(*size, int(np.ceil(side)), samples)
+        return TileGrid(*size, int(np.ceil(side)), samples)
 
     @property
     def rows(self) -> int:
@@ -106,7 +106,7 @@ class _Seen:
 
 
 def survey(
-    scene: Any, camera: Optics, lights: Lights, tiles: Tiles, seed: int, depth: int, sky: Any
+    scene: Any, camera: Optics, lights: Lights, tiles: TileGrid, seed: int, depth: int, sky: Any
 ) -> Guide:
     """Look around from every tile and learn; `sky` is the ambient radiance or None."""
     # Streams of their own: what is learnt must not depend on the paths it will guide.
@@ -156,7 +156,9 @@ def survey(
     )
 
 
-def _points(scene: Any, camera: Optics, lights: Lights, tiles: Tiles, seed: int) -> tuple[Any, Any]:
+def _points(
+    scene: Any, camera: Optics, lights: Lights, tiles: TileGrid, seed: int
+) -> tuple[Any, Any]:
     """Surface points that tiles see, (tile, point) in one axis, and their direct light."""
     lane = dr.arange(mi.UInt32, tiles.count * POINTS)
     tile = lane // POINTS
@@ -185,7 +187,7 @@ def _edged(eye: Any, part: NDArray[np.uint32]) -> NDArray[np.bool_]:
     return edged
 
 
-def _bordered(tiles: Tiles, mean: Floats, part: NDArray[np.uint32]) -> NDArray[np.bool_]:
+def _bordered(tiles: TileGrid, mean: Floats, part: NDArray[np.uint32]) -> NDArray[np.bool_]:
     """(tile,): whether a neighbour is another part, or as much brighter as makes a tile of both busy.
 
     An edge that runs just inside a tile's border, as edges level with the image do, cuts off less than its points see.
@@ -206,7 +208,7 @@ def _bordered(tiles: Tiles, mean: Floats, part: NDArray[np.uint32]) -> NDArray[n
 
 
 def _looks(
-    scene: Any, lights: Lights, tiles: Tiles, eye: Any, seed: int, depth: int, sky: Any
+    scene: Any, lights: Lights, tiles: TileGrid, eye: Any, seed: int, depth: int, sky: Any
 ) -> _Seen:
     lane = dr.arange(mi.UInt32, tiles.count * CELLS)
     tile = lane // CELLS

@@ -33,8 +33,8 @@ from render.transport import PhaseError, Transport
 from scenes.acquisition.fringe_fit import STRAY_FRACTION
 from scenes.acquisition.pattern_basis import Basis, basis
 from scenes.acquisition.patterns import Patterns
-from scenes.identity import identity
 from scenes.scene import MIN_PHASE_ERROR_RAD, Scene
+from scenes.scene_identity import identity
 from scenes.support.errors import FringebenchWarning, RenderError
 from scenes.support.memory import room_for
 

@@ -37,14 +37,14 @@ from render.pathtracer.one_pass import check, require_finite, set_up
 from render.pathtracer.path_budget import PILOT_PATHS, Pilot, blocks_needed, pilot_blocks
 from render.pathtracer.path_kernel import DEEPEST_CUT, Pass
 from render.pathtracer.pixel_centres import label_map, lit
-from render.pathtracer.tile_survey import Tiles
+from render.pathtracer.tile_survey import TileGrid
 from render.plugins.shared_surfaces import Surfaces, shared
 from render.plugins.variant import use
 from render.point_spread import spread_kernel
 from render.transport import RenderNoise, Transport
 from scenes.acquisition.pattern_basis import Basis, basis
-from scenes.identity import identity
 from scenes.scene import Scene
+from scenes.scene_identity import identity
 from scenes.support.errors import FringebenchWarning, RenderError, nearest
 from scenes.support.memory import room_for
 
@@ -88,7 +88,7 @@ def trace(
             "render_noise, and give sampling.samples"
         )
     width, height = scene.camera.resolution
-    tiles = Tiles.of(scene.camera.resolution, SURVEY_SAMPLES)
+    tiles = TileGrid.of(scene.camera.resolution, SURVEY_SAMPLES)
     images = 2 * len(bases) * max(len(b.channels) for b in bases) + 1
     with room_for(
         (4 * (5 * images + 6 * len(bases) * len(fringes)) + PIXEL_BYTES) * width * height

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.board.board import CONTAMINATION, Board
-from scenes.board.printing import Bridge, Print, printed
+from scenes.board.printing import PasteBridge, Print, printed
 from scenes.board.surface import surfaces
 from scenes.board.warp import FACE_MM, WarpedPlane
 from scenes.shapes.heightfield import Heightfield
@@ -98,7 +98,7 @@ def _same(pad: int, field: Heightfield) -> Ints:
     return np.full(len(field.faces), pad, dtype=np.int64)
 
 
-def _halves(bridge: Bridge, field: Heightfield) -> Ints:
+def _halves(bridge: PasteBridge, field: Heightfield) -> Ints:
     """A bridge's triangles, each of the pad whose end is nearer."""
     centre = field.xy_mm[field.faces].mean(axis=1)
     a, b = bridge.ends_mm

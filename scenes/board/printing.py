@@ -62,7 +62,7 @@ class Deposit:
 
 
 @dataclass(frozen=True, eq=False)
-class Bridge:
+class PasteBridge:
     """Paste between two deposits."""
 
     pads: tuple[int, int]
@@ -82,7 +82,7 @@ class Print:
     stackup: Stackup
     stencil_mm: float
     deposits: tuple[Deposit, ...]
-    bridges: tuple[Bridge, ...]
+    bridges: tuple[PasteBridge, ...]
     warp: WarpedPlane
     """Added to all heights of the board and its paste."""
 
@@ -297,7 +297,7 @@ def _lifted(deposit_: Deposit, all_: Sequence[Deposit], tree: shapely.STRtree) -
     return replace(deposit_, speck=raised)
 
 
-def _bridges(board: Board, deposits: Mapping[int, Deposit]) -> list[Bridge]:
+def _bridges(board: Board, deposits: Mapping[int, Deposit]) -> list[PasteBridge]:
     """Deposits that touch, and the bridges drawn between neighbours."""
     settings = board.defects.bridge
     there = [d for d in deposits.values() if d.field is not None]
@@ -310,7 +310,7 @@ def _bridges(board: Board, deposits: Mapping[int, Deposit]) -> list[Bridge]:
     )
     touch = shapely.STRtree(footprints).query(footprints, predicate="intersects")
     touching = {(int(i), int(j)) for i, j in touch.T if i < j}
-    bridges = [Bridge((there[i].pad.id, there[j].pad.id), None) for i, j in sorted(touching)]
+    bridges = [PasteBridge((there[i].pad.id, there[j].pad.id), None) for i, j in sorted(touching)]
     if settings.probability == 0.0:
         return bridges
     for i, j in sorted((int(i), int(j)) for i, j in near.T if i < j):
@@ -325,7 +325,7 @@ def _bridges(board: Board, deposits: Mapping[int, Deposit]) -> list[Bridge]:
         field = _strip(start, end, width, height, 1.0, board.paste)
         between = _outline(field).difference(shapely.union_all([footprints[i], footprints[j]]))
         bridges.append(
-            Bridge((a.pad.id, b.pad.id), field, _pair(ends), field.part_volume_mm3(between))
+            PasteBridge((a.pad.id, b.pad.id), field, _pair(ends), field.part_volume_mm3(between))
         )
     return bridges
 

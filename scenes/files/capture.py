@@ -15,7 +15,7 @@ from scenes.acquisition.patterns import Frame
 from scenes.acquisition.sensor import Sensor, SimpleSensor
 from scenes.files import images, phase_maps, single_shot
 from scenes.files.capture_frames import OrderMap, PhaseMap, SingleShot, SkippedImages, nearest_kind
-from scenes.files.capture_manifest import Manifest, SecondView
+from scenes.files.capture_manifest import CaptureManifest, SecondView
 from scenes.files.digital_range import DigitalRange
 from scenes.files.stack import Stack
 from scenes.support.errors import FileError
@@ -33,7 +33,7 @@ class Imported:
     """What was found in the files themselves."""
 
 
-class Capture(Manifest):
+class Capture(CaptureManifest):
     """A manifest: how image files become a `Stack`."""
 
     @classmethod

@@ -43,7 +43,7 @@ class SecondView(Frozen):
     """Folder of the files, relative to the manifest's."""
 
 
-class Manifest(Frozen):
+class CaptureManifest(Frozen):
     """What a manifest says, as written in the file."""
 
     files: Annotated[tuple[str, ...], Field(min_length=1)]

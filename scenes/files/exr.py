@@ -36,7 +36,7 @@ _ONE_THREAD = threading.Lock()
 
 Channels = Mapping[str, NDArray[Any]]
 Identity = Mapping[str, str]
-"""Part of a scene -> digest of what the truth depends on (see `scenes.identity`); empty: not known."""
+"""Part of a scene -> digest of what the truth depends on (see `scenes.scene_identity`); empty: not known."""
 
 
 def write(

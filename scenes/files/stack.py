@@ -18,7 +18,7 @@ from scenes.rig.calibration import Calibration
 from scenes.rig.devices import Resolution
 from scenes.support import mapped
 from scenes.support.errors import DecodeError, FileError
-from scenes.support.notebook import Displayed, Plane
+from scenes.support.notebook import Displayed, PreviewPlane
 from scenes.support.validation_words import in_words
 
 KIND = "stack"
@@ -61,7 +61,7 @@ class Stack(Displayed):
     gamma: float | None = None
     """Gamma of the fringes' response, which decoding undoes; None: linear."""
     identity: Identity = field(default_factory=dict)
-    """Digests of what was traced, see `scenes.identity`; empty: not known, or a real capture."""
+    """Digests of what was traced, see `scenes.scene_identity`; empty: not known, or a real capture."""
 
     def _facts(self) -> dict[str, str]:
         exposures, frames, rows, columns = self.frames.shape
@@ -75,9 +75,9 @@ class Stack(Displayed):
             "calibration": "yes" if self.calibration else "no",
         }
 
-    def _planes(self) -> list[Plane]:
+    def _planes(self) -> list[PreviewPlane]:
         return [
-            Plane(f"First frame at {time:.3g} ms", "DN", self.frames[e, 0])
+            PreviewPlane(f"First frame at {time:.3g} ms", "DN", self.frames[e, 0])
             for e, time in enumerate(self.exposure_ms[:4])
         ]
 

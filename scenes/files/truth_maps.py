@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from scenes.files import exr
 from scenes.support.errors import FileError, ScoreError, nearest
-from scenes.support.notebook import Displayed, Plane
+from scenes.support.notebook import Displayed, PreviewPlane
 from scenes.support.validation_words import in_words
 
 KIND = "truth"
@@ -49,16 +49,18 @@ class Truth(Displayed):
     render_noise_mm: Floats | None = None
     """(row, col) standard deviation that the noise of light paths alone gives the height, mm; None: not known."""
     identity: exr.Identity = field(default_factory=dict)
-    """Digests of the scene and rig, see `scenes.identity`; empty: not known."""
+    """Digests of the scene and rig, see `scenes.scene_identity`; empty: not known."""
 
     def _facts(self) -> dict[str, str]:
         rows, columns = self.label.shape
         return {"size": f"{columns} x {rows} px", "labels": " ".join(self.labels)}
 
-    def _planes(self) -> list[Plane]:
+    def _planes(self) -> list[PreviewPlane]:
         return [
-            Plane("True height", "mm", self.height_mm),
-            Plane("Label", "index", np.where(self.label > 0, self.label.astype(float), np.nan)),
+            PreviewPlane("True height", "mm", self.height_mm),
+            PreviewPlane(
+                "Label", "index", np.where(self.label > 0, self.label.astype(float), np.nan)
+            ),
         ]
 
     @property

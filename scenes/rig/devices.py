@@ -137,7 +137,7 @@ class TelecentricLens(Frozen):
     """Depth of the plane in focus, along the axis from the device's origin."""
 
 
-class Device(Frozen):
+class RigDevice(Frozen):
     """Fields common to all cameras and projectors."""
 
     resolution: Resolution
@@ -199,7 +199,7 @@ class Device(Frozen):
         return not self.vignetting and self.evenness is None
 
 
-class Telecentric(Device):
+class Telecentric(RigDevice):
     """Parallel rays: magnification does not depend on depth."""
 
     model: Literal["telecentric"] = "telecentric"
@@ -233,7 +233,7 @@ class Telecentric(Device):
         )
 
 
-class Pinhole(Device):
+class Pinhole(RigDevice):
     """OpenCV's pinhole with Brown distortion; intrinsics in this project's pixel coordinates."""
 
     model: Literal["pinhole"] = "pinhole"

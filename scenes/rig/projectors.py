@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, PositiveFloat, model_validator
 
-from scenes.rig.devices import Device, Pinhole, Telecentric
+from scenes.rig.devices import Pinhole, RigDevice, Telecentric
 from scenes.rig.projection import Projection
 from scenes.support.frozen import Frozen
 
@@ -112,7 +112,7 @@ class PinholeProjector(Pinhole, Beam):
     """Depth at which `irradiance_w_m2` holds; elsewhere it falls as (reference_mm / depth) ** 2."""
 
 
-class Screen(Device, Emission):
+class Screen(RigDevice, Emission):
     """A flat screen that shows the patterns, for deflectometry: the camera sees it by way of a mirroring surface.
 
     Its frame has its origin in the middle of the screen and z along the normal, towards what it lights (``pose.target_mm``).

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 THUMB_PX = 300
 
 
-class Plane(NamedTuple):
+class PreviewPlane(NamedTuple):
     """One image to show."""
 
     title: str
@@ -32,7 +32,7 @@ class Displayed:
         """What is worth knowing, in words; quick to compute."""
         raise NotImplementedError
 
-    def _planes(self) -> Sequence[Plane]:
+    def _planes(self) -> Sequence[PreviewPlane]:
         """Images to show."""
         raise NotImplementedError
 

@@ -64,7 +64,7 @@ class Aperture:
 
 
 @dataclass(frozen=True)
-class Pose:
+class AperturePose:
     """Mirroring, rotation and scaling of apertures: LM, LR, LS."""
 
     mirror: str = "N"
@@ -106,7 +106,7 @@ def standard_aperture(name: str, values: list[float], unit: float) -> Aperture:
         radius = None if hole else a / 2
     elif name == "P":
         shape, hole = regular(int(values[1]), a), values[3:]
-        turn = Pose(degrees=values[2] if len(values) > 2 else 0.0).matrix
+        turn = AperturePose(degrees=values[2] if len(values) > 2 else 0.0).matrix
         shape = shapely.transform(shape, lambda xy: xy @ turn.T)
     else:
         b, hole = length(values[1], unit), values[2:]

@@ -10,7 +10,13 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from scenes.board.gerber.apertures import Aperture, Painted, Pose, standard_aperture, stroked
+from scenes.board.gerber.apertures import (
+    Aperture,
+    AperturePose,
+    Painted,
+    standard_aperture,
+    stroked,
+)
 from scenes.board.gerber.macros import Macro
 from scenes.board.gerber.strokes import Point, Segment, valid
 from scenes.board.gerber.tokens import Command, Malformed, length, number, split_commands
@@ -34,7 +40,7 @@ _IGNORED = ("TF", "TA", "TO", "TD", "IN", "LN", "PF", "IC")
 
 
 @dataclass(frozen=True)
-class Image:
+class LayerImage:
     """What a file paints."""
 
     objects: tuple[Painted, ...]
@@ -51,7 +57,7 @@ class _Frame:
     block: int | None = None
 
 
-def read(path: Path) -> Image:
+def read(path: Path) -> LayerImage:
     """The objects of a Gerber file, in order, in mm. Raises `FileError` for what is not a whole, valid file."""
     if not is_file(path):
         raise FileError(f"Gerber file '{path}' {missing(path)}: check the path")
@@ -60,7 +66,7 @@ def read(path: Path) -> Image:
 
 
 @lru_cache(maxsize=8)
-def _read(path: Path, size: int, time_ns: int) -> Image:
+def _read(path: Path, size: int, time_ns: int) -> LayerImage:
     """The same, cached for one state of the file: each sample of a data set may show another region of it."""
     try:
         text = path.read_bytes().decode("latin-1")
@@ -98,17 +104,17 @@ class _State:
         self.quadrants: int | None = None
         self.aperture: int | None = None
         self.dark = True
-        self.pose = Pose()
+        self.pose = AperturePose()
         self.contours: list[list[Segment]] | None = None
         self.macros: dict[str, Macro] = {}
         self.apertures: dict[int, Aperture] = {}
-        self.posed: dict[tuple[int, Pose], Aperture] = {}
+        self.posed: dict[tuple[int, AperturePose], Aperture] = {}
         self.frames = [_Frame()]
         self.negative = False
         self.turn = 0
         self.offset: Point = (0.0, 0.0)
 
-    def image(self) -> Image:
+    def image(self) -> LayerImage:
         """What was painted; `Malformed` if the file is not at its end."""
         if not self.ended:
             raise Malformed("the file does not end with M02: it is cut off, or not a Gerber file")
@@ -119,9 +125,9 @@ class _State:
         if self.turn or self.offset != (0.0, 0.0):
             if self.turn and self.offset != (0.0, 0.0):
                 raise Malformed("image rotation (IR) with an offset (OF) is not supported")
-            matrix = Pose(degrees=float(self.turn)).matrix
+            matrix = AperturePose(degrees=float(self.turn)).matrix
             objects = tuple(item.moved(matrix, self.offset) for item in objects)
-        return Image(objects, self.negative)
+        return LayerImage(objects, self.negative)
 
     def obey(self, command: Command) -> None:
         """Apply one command."""
@@ -301,7 +307,7 @@ class _State:
         if self.aperture is None or self.aperture not in self.apertures:
             raise Malformed("an aperture is used before it is defined and selected")
         plain = self.apertures[self.aperture]
-        if self.pose == Pose() or plain.block is not None:
+        if self.pose == AperturePose() or plain.block is not None:
             return plain
         key = (self.aperture, self.pose)
         if key not in self.posed:

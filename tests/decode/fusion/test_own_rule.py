@@ -14,7 +14,7 @@ import decode
 from decode import Samples
 from decode.device import Device
 from decode.phase.n_step import fringe_sets
-from evaluation.hdr.registry import strategies
+from evaluation.hdr.strategy_lookup import strategies
 from scenes.acquisition.patterns import PhaseShift
 from scenes.acquisition.sensor import Emva, SimpleSensor
 from scenes.files.stack import Stack

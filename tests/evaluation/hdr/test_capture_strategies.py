@@ -17,7 +17,7 @@ from evaluation.hdr.comparison import (
     StrategyResult,
 )
 from evaluation.hdr.light_budget import BUDGETS, LightBudget, Reference, Shot
-from evaluation.hdr.registry import strategies
+from evaluation.hdr.strategy_lookup import strategies
 from evaluation.theory.clipping import clipped_harmonic
 from scenes.acquisition.patterns import PhaseShift
 from scenes.acquisition.sensor import SimpleSensor

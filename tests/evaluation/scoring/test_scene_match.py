@@ -11,10 +11,10 @@ import evaluation
 import render
 import scenes
 from decode import Reconstruction
-from evaluation.scoring.identity import differing_parts, other_unit
+from evaluation.scoring.scene_match import differing_parts, other_unit
 from render import Transport
 from scenes import Stack, Truth
-from scenes.identity import identity
+from scenes.scene_identity import identity
 from scenes.support.errors import FringebenchWarning, ScoreError
 from tests.evaluation.synthetic_truth import Floats, TruthMaker
 

@@ -9,7 +9,7 @@ import trimesh
 
 import render
 import scenes
-from scenes.identity import PARTS, identity
+from scenes.scene_identity import PARTS, identity
 from scenes.support.errors import RenderError
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from scenes.board.board import GerberBoard
-from scenes.rig.devices import Device
+from scenes.rig.devices import RigDevice
 from scenes.rig.projectors import Emission
 from scenes.scene import Object, Scene
 
@@ -77,7 +77,11 @@ def _model(model: BaseModel) -> list[Any]:
         layers = {role: _plain(path) for role, path in model.layer_paths().items()}
         return [layers, _fields(model, {"folder", "files"})]
     omitted = (
-        LIGHT if isinstance(model, Device) else {"material"} if isinstance(model, Object) else set()
+        LIGHT
+        if isinstance(model, RigDevice)
+        else {"material"}
+        if isinstance(model, Object)
+        else set()
     )
     return [type(model).__name__, _fields(model, omitted)]
 
