@@ -13,7 +13,7 @@ from render.chip_image import Image
 from render.exposure_time import exposure_times_ms
 from render.laser_speckle import speckled
 from render.motion import conveyed, height_slope
-from render.pattern_span import channel_weights, plane_weights
+from render.projector.pattern_span import channel_weights, plane_weights
 from render.sensor_stages import Floats, LineNoise, Noise, digital_numbers, fixed_pattern
 from render.transport import Transport
 from render.unsteady_light import STEADY, Moment, is_steady, moment

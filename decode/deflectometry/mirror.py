@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from decode.deflectometry.choices import height_by
+from decode.deflectometry.mirror_surface import Measured, integrated, nothing, two_positions
 from decode.deflectometry.reflection import Floats, Rays
-from decode.deflectometry.screen_image import AXES, screen_image
-from decode.deflectometry.surface import Measured, integrated, nothing, two_positions
+from decode.deflectometry.screen_optics import AXES, screen_image
 from decode.one_camera import require_some
 from decode.options import Options
 from decode.reason import Reason

@@ -30,7 +30,7 @@ def fusion_rules(incomplete: str) -> list[str]:
     return [name for name in decode.rules() if name.startswith(incomplete)]
 
 
-def output(help_: str) -> Any:
+def destination(help_: str) -> Any:
     """The option that says where to write, with what is written."""
     return typer.Option("-o", "--output", help=help_)
 
@@ -44,7 +44,7 @@ Settings = Annotated[
         "--set", metavar="KEY=VALUE", help="Override a key of the scene; may be repeated."
     ),
 ]
-Folder = Annotated[Path | None, output("Folder to write.")]
+Folder = Annotated[Path | None, destination("Folder to write.")]
 PhaseError = Annotated[
     float | None,
     typer.Option(

@@ -25,8 +25,8 @@ from evaluation.theory.cramer_rao import FringeLight, phase_bound_rad2
 from fringebench.experiments.noise_summary import figures
 from fringebench.gate.decoders import Decoder
 from fringebench.progress import StepProgress, Steps
-from render.pattern_span import channel_weights
 from render.projector.masks import masked
+from render.projector.pattern_span import channel_weights
 from scenes.acquisition.patterns import Axis, Frame, Patterns
 from scenes.support.errors import FringebenchError, ScoreError
 

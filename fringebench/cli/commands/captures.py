@@ -27,7 +27,7 @@ def import_capture(
     manifest: Annotated[
         Path, typer.Argument(help="A manifest TOML: which image shows what (see docs/import.md).")
     ],
-    output: Annotated[Path, opt.output("Stack file.")] = Path("stack.exr"),
+    output: Annotated[Path, opt.destination("Stack file.")] = Path("stack.exr"),
     check: Annotated[
         bool,
         typer.Option("--check", help="Only check linearity, order and periods; write nothing."),
@@ -135,7 +135,7 @@ def stereo(
         tuple[float, float],
         typer.Option(metavar="NEAR FAR", help="Depths to search in front of the first camera."),
     ],
-    output: Annotated[Path, opt.output("Reconstruction file.")] = Path("reconstruction.exr"),
+    output: Annotated[Path, opt.destination("Reconstruction file.")] = Path("reconstruction.exr"),
     mm_per_unit: opt.MmPerUnit = None,
     fusion: opt.Fusion = "max-modulation",
     name: opt.PartNames = [],  # noqa: B006

@@ -33,7 +33,9 @@ def dataset(
         ),
     ] = None,
     count: Annotated[int | None, typer.Option(help="How many samples.", min=1)] = None,
-    output: Annotated[str | None, opt.output("A folder, or any URL that fsspec opens.")] = None,
+    output: Annotated[
+        str | None, opt.destination("A folder, or any URL that fsspec opens.")
+    ] = None,
     seed: Annotated[int, typer.Option(help="Sample i depends on this and on i alone.", min=0)] = 0,
     workers: Annotated[
         int | None, typer.Option(help="Processes of one core each. Default: all cores.", min=1)

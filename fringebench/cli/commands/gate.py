@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 
-Folder = Annotated[Path | None, opt.output("Also write JSON and report.html here.")]
+Folder = Annotated[Path | None, opt.destination("Also write JSON and report.html here.")]
 
 
 @app.command(epilog="Example: fringebench regress my_package.decoder:decode --baseline mine.json")
@@ -162,7 +162,7 @@ def _print_regression(result: "Regression", baseline: Path | None) -> None:
 @app.command(epilog="Example: fringebench export stack.exr -o frames")
 def export(
     stack: Annotated[Path, typer.Argument(help="A stack EXR.")],
-    output: Annotated[Path, opt.output("Folder to write.")],
+    output: Annotated[Path, opt.destination("Folder to write.")],
     projector: Annotated[
         int | None, typer.Option(help="Whose frames, where there are several projectors.")
     ] = None,

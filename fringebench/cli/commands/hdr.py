@@ -27,7 +27,7 @@ def compare(
         int, typer.Option(help="Captures of each strategy; 2 or more give intervals.", min=1)
     ] = 5,
     output: Annotated[
-        Path | None, opt.output("Also write compare.json, figures and report.html here.")
+        Path | None, opt.destination("Also write compare.json, figures and report.html here.")
     ] = None,
     budget: Annotated[
         str,

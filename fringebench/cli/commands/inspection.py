@@ -35,7 +35,7 @@ def pads(
         ),
     ] = "spi",
     output: Annotated[
-        Path | None, opt.output("Measured pads as CSV, in the columns of SPI machines.")
+        Path | None, opt.destination("Measured pads as CSV, in the columns of SPI machines.")
     ] = None,
     truth: Annotated[
         Path | None, typer.Option("--truth", help="True pads as CSV, in the same columns.")
@@ -227,7 +227,7 @@ def board_files(
     action: Annotated[Action, typer.Argument(help="check: read the files twice.")],
     folder: Annotated[Path, typer.Argument(help="Folder of the board's Gerber files.")],
     output: Annotated[
-        Path | None, opt.output("Picture (PNG) of paste over copper over outline.")
+        Path | None, opt.destination("Picture (PNG) of paste over copper over outline.")
     ] = None,
     bottom: Annotated[bool, typer.Option("--bottom", help="The bottom side.")] = False,
     as_json: opt.AsJson = False,

@@ -24,7 +24,7 @@ app = typer.Typer()
 
 @app.command(epilog="Example: fringebench twin procam.yml -o mine.toml --distance-mm 600")
 def twin(
-    output: Annotated[Path, opt.output("Scene TOML to write.")],
+    output: Annotated[Path, opt.destination("Scene TOML to write.")],
     distance_mm: Annotated[float, typer.Option(help="Working distance in front of the camera.")],
     calibration: Annotated[
         list[Path], typer.Argument(help="OpenCV calibration: one file, or several.")
@@ -92,7 +92,7 @@ def calibrate(
     board: Annotated[str, typer.Option(help="checkerboard or charuco.")] = "checkerboard",
     poses: Annotated[int, typer.Option(help="Pictures of the chart.", min=4)] = 15,
     output: Annotated[
-        Path | None, opt.output("Also write the calibration (.yml, .xml, .json).")
+        Path | None, opt.destination("Also write the calibration (.yml, .xml, .json).")
     ] = None,
     settings: opt.Settings = [],  # noqa: B006
     seed: Annotated[int, typer.Option(help="Seed of poses, light paths and noise.", min=0)] = 0,

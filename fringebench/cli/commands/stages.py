@@ -25,7 +25,7 @@ app = typer.Typer()
 @app.command("render", epilog="Example: fringebench render step -o transport.exr --truth truth.exr")
 def render_scene(
     scene: opt.SceneName,
-    output: Annotated[Path, opt.output("Transport file.")] = Path("transport.exr"),
+    output: Annotated[Path, opt.destination("Transport file.")] = Path("transport.exr"),
     truth: Annotated[
         Path | None, typer.Option(help="Also write the truth maps to this file.")
     ] = None,
@@ -92,7 +92,7 @@ def render_scene(
 )
 def expose(
     transport: Annotated[Path, typer.Argument(help="A transport EXR, written by render.")],
-    output: Annotated[Path, opt.output("Stack file.")] = Path("stack.exr"),
+    output: Annotated[Path, opt.destination("Stack file.")] = Path("stack.exr"),
     exposure_ms: Annotated[
         list[float], typer.Option(help="Exposure time; may be repeated. Default: the scene's own.")
     ] = [],  # noqa: B006
@@ -136,7 +136,7 @@ def expose(
 )
 def decode_stack(
     stack: Annotated[Path, typer.Argument(help="A stack EXR, written by expose or import.")],
-    output: Annotated[Path, opt.output("Reconstruction file.")] = Path("reconstruction.exr"),
+    output: Annotated[Path, opt.destination("Reconstruction file.")] = Path("reconstruction.exr"),
     fusion: opt.Fusion = "max-modulation",
     unwrap: Annotated[
         str | None, typer.Option(help="Unwrapping: temporal, row-scan, quality-guided.")
@@ -259,7 +259,9 @@ def evaluate(
         Path, typer.Argument(help="A reconstruction EXR, written by decode.")
     ],
     truth: Annotated[Path, typer.Argument(help="A truth EXR, written by render --truth.")],
-    output: Annotated[Path | None, opt.output("Also write the scores to this JSON file.")] = None,
+    output: Annotated[
+        Path | None, opt.destination("Also write the scores to this JSON file.")
+    ] = None,
     force: Annotated[
         bool, typer.Option("--force", help="Score even if the truth is of another scene or rig.")
     ] = False,

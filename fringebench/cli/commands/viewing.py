@@ -21,7 +21,8 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of text
 def view(
     file: Annotated[Path, typer.Argument(help="A transport, stack, truth or reconstruction EXR.")],
     output: Annotated[
-        Path | None, opt.output("Page (.html) or contact sheet (.png); default: NAME.html here.")
+        Path | None,
+        opt.destination("Page (.html) or contact sheet (.png); default: NAME.html here."),
     ] = None,
     truth: Annotated[
         Path | None, typer.Option(help="A truth EXR: adds the errors of a reconstruction.")
@@ -47,7 +48,7 @@ def convert(
     ],
     output: Annotated[
         Path,
-        opt.output(
+        opt.destination(
             "Heights: .png .tif (16 bits). Surface: .ply .obj .glb. Scene: .glb .obj .ply .stl."
         ),
     ],
