@@ -5,6 +5,7 @@ a pixel. And a calibration has no world, only the first camera's frame (y down, 
 same x, y up and z towards the camera, and z = 0 is `distance_mm` in front of it: height grows towards the camera.
 """
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,12 +23,14 @@ from scenes.rig.devices import Extrinsics, Pinhole, Resolution
 from scenes.rig.projection import Coefficients
 from scenes.rig.projectors import PinholeProjector
 from scenes.support.atomic_file import replacing
-from scenes.support.errors import FileError
+from scenes.support.errors import FileError, FringebenchWarning
 from scenes.support.frozen import Frozen
 from scenes.support.validation_words import in_words
 
 # A working volume where nothing states it: structured light is rarely used nearer or farther than this many baselines.
 DEPTH_IN_BASELINES = (0.5, 50.0)
+# Two devices are never so near each other: the unit is another one.
+NEAREST_MM = 1.0
 
 
 class Source(Frozen):
@@ -126,6 +129,13 @@ class Pair:
             )
         if source.second_to_first:
             rotation, translation = rotation.T, -rotation.T @ translation
+        apart_mm = float(np.linalg.norm(translation * scale))
+        if 0.0 < apart_mm < NEAREST_MM and source.mm_per_unit is None:
+            warnings.warn(
+                f"{where}: the two devices are {apart_mm:.3g} mm apart: if the translation is in metres, set mm_per_unit = 1000",
+                FringebenchWarning,
+                stacklevel=4,
+            )
         return cls(
             _intrinsics(parts, "first", where),
             _intrinsics(parts, "second", where),

@@ -34,6 +34,18 @@ def float32_bound_mm(calibration: Calibration, axis: Axis, period_px: float) -> 
     return float(phase * period_px / (2 * np.pi) / np.abs(slope).min() * 1.1 + 3.0 * 2.0**-24)
 
 
+@pytest.mark.parametrize("name", RIGS)
+def test_two_axes_give_the_height_where_either_is_known(name: str) -> None:
+    height = hills()
+    columns, rows = coordinates(RIGS[name], height)
+    columns[:, ::3], rows[:, 1::3] = np.nan, np.nan
+    columns[0], rows[0] = np.nan, np.nan
+    found = decode.triangulate(columns, RIGS[name], row_px=rows)
+    # Float64 throughout.
+    np.testing.assert_allclose(found[1:], height[1:], atol=1e-8)
+    assert np.isnan(found[0]).all()
+
+
 @pytest.mark.parametrize("axis", ["column", "row"])
 @pytest.mark.parametrize("name", RIGS)
 def test_triangulation_loses_nothing_on_any_rig_and_axis(name: str, axis: Axis) -> None:

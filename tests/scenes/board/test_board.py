@@ -10,6 +10,7 @@ import trimesh
 
 import scenes
 from scenes.board.board import Board, ParametricBoard
+from scenes.board.component_packages import Bga, Qfn, Qfp
 from scenes.board.pad_layout import circle, rectangle
 from scenes.board.paste import Transfer
 from scenes.board.printing import Print, artwork, printed
@@ -346,6 +347,37 @@ def test_region_prints_the_same_deposits_as_the_whole_board() -> None:
             deposit.field.xy_mm + np.array([8.0, 4.0]), other.field.xy_mm, atol=1e-9
         )
         np.testing.assert_array_equal(deposit.field.height_mm, other.field.height_mm)
+
+
+@pytest.mark.parametrize(
+    ("part", "pads", "across_mm", "pad_mm"),
+    # KiCad's land patterns of LQFP-48 7x7 and QFN-32 5x5, pad to pad over all, and a grid of 8 x 8.
+    [
+        (Qfp(position_mm=(0.0, 0.0)), 48, 8.325 + 1.475, (1.475, 0.3)),
+        (Qfn(position_mm=(0.0, 0.0)), 32, 4.875 + 0.875, (0.875, 0.25)),
+        (Bga(position_mm=(0.0, 0.0)), 64, 7 * 0.5 + 0.3, (0.3, 0.3)),
+    ],
+)
+def test_parts_are_common_ones_of_half_a_millimetre_pitch(
+    part: Qfp | Qfn | Bga, pads: int, across_mm: float, pad_mm: tuple[float, float]
+) -> None:
+    lands = [land.pad for land in part.lands(0.0) if land.name != "EP"]
+    assert len(lands) == pads
+    centres = np.array([(pad.centroid.x, pad.centroid.y) for pad in lands])
+    apart = np.linalg.norm(np.diff(centres[:3], axis=0), axis=1)
+    np.testing.assert_allclose(apart, 0.5, atol=1e-9)
+    x0, y0, x1, y1 = shapely.union_all(lands).bounds
+    assert (x1 - x0, y1 - y0) == pytest.approx((across_mm, across_mm), abs=1e-3)
+    x0, y0, x1, y1 = lands[0].bounds
+    assert (x1 - x0, y1 - y0) == pytest.approx(pad_mm, abs=1e-3)
+
+
+def test_a_millimetre_is_left_around_pads_by_number() -> None:
+    layout = artwork(board(pads=[101]))
+    (pad,) = (pad for pad in layout.pads if pad.id == 101)
+    np.testing.assert_allclose(
+        np.subtract(layout.box, pad.outline.bounds), (-1, -1, 1, 1), atol=1e-9
+    )
 
 
 def test_pads_by_number_are_in_the_middle() -> None:

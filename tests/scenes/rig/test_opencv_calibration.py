@@ -1,6 +1,7 @@
 """OpenCV calibrations: names, formats, conventions, and what is refused."""
 
 import json
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from scenes.rig.calibration_files import entries
 from scenes.rig.opencv_calibration import Pair, Source
-from scenes.support.errors import FileError
+from scenes.support.errors import FileError, FringebenchWarning
 
 K1 = np.array([[2800.0, 0, 1500.0], [0, 2810.0, 1090.0], [0, 0, 1]])
 K2 = np.array([[1650.0, 0, 620.0], [0, 1720.0, 360.0], [0, 0, 1]])
@@ -49,6 +50,16 @@ def test_points_project_as_in_opencv_plus_half_a_pixel(tmp_path: Path, suffix: s
         np.testing.assert_allclose(device.projection().project(world)[0], theirs + 0.5, atol=1e-9)
     assert rig.camera.resolution == (2592, 1944)
     assert rig.projectors[0].resolution == (1280, 800)
+
+
+def test_a_translation_in_metres_is_reported_by_its_length(tmp_path: Path) -> None:
+    path = write(tmp_path / "rig.yml", PARTS | SIZES | {"T": T / 1000.0})
+    with pytest.warns(FringebenchWarning, match=r"0\.194 mm apart: .*set mm_per_unit = 1000"):
+        Source(files=(path,)).pair()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Source(files=(path,), mm_per_unit=1000.0).pair()
+        Source(files=(write(path, PARTS | SIZES),)).pair()
 
 
 def test_working_volume_is_from_the_nearest_to_the_farthest_depth(tmp_path: Path) -> None:
