@@ -62,11 +62,8 @@ def finest_fringes(patterns: Patterns, bases: Sequence[Basis]) -> tuple[FinestFr
 def measuring_axis(scene: Scene, axes: Sequence[Axis], projector: int = 0) -> int:
     """Number of the axis that height moves more, in projector px per mm at the image's centre: decoding measures by it."""
     camera, light = scene.camera.projection(), scene.projectors[projector].projection()
-    origin, direction = camera.rays(np.array([camera.width, camera.height]) / 2.0)
-    low, high = scene.height_range_mm
-    heights = np.array([[low], [high]])
-    points = origin + (heights - origin[2]) / direction[2] * direction
-    pixels, _ = light.project(points)
+    centre = np.array([camera.width, camera.height]) / 2.0
+    pixels, _ = light.project(camera.points_at(scene.height_range_mm, centre))
     moved = np.abs(pixels[1] - pixels[0])
     return int(np.argmax([moved[("column", "row").index(axis)] for axis in axes]))
 

@@ -206,9 +206,8 @@ def _axis(
     if len(rec.phases) == 1:
         return next(iter(rec.phases))
     left, right = (camera.projection() for camera in cameras)
-    origin, direction = left.rays([left.width / 2.0, left.height / 2.0])
-    ends = [origin + (h - origin[2]) / direction[2] * direction for h in heights_mm]
-    way = right.project(ends[1])[0] - right.project(ends[0])[0]
+    low, high = right.project(left.points_at(heights_mm, [left.width / 2.0, left.height / 2.0]))[0]
+    way = high - low
     gradients = {}
     for axis, phase in rec.phases.items():
         at = np.where(rec.valid, phase.coordinate_px, np.nan)
@@ -331,8 +330,8 @@ class _Search:
 
     def _seen(self, direction: Floats, height_mm: Floats) -> Floats:
         """Where the right camera sees the left rays' points of these heights, px (..., 2)."""
-        t = (height_mm - self.left_camera.origin_mm[2]) / direction[:, 2]
-        return self.right_camera.project(self.left_camera.origin_mm + t[:, None] * direction)[0]
+        points = self.left_camera.ray_points(self.left_camera.origin_mm, direction, height_mm)
+        return self.right_camera.project(points)[0]
 
     def _off(self, direction: Floats, wanted: Floats, height_mm: Floats) -> Floats:
         seen = self._seen(direction, height_mm)
