@@ -24,6 +24,8 @@ GAP = 4
 # Share of the pixels in which a bit must be clear to be judged.
 CLEARLY = 0.8
 OUTSIDE = 0.05
+# Part of the contrast by which a code's frame may exceed white, as interreflection of whole frames does not.
+BEYOND = 0.25
 MOST_LINES = 96
 
 
@@ -63,18 +65,27 @@ def gray_code(stack: Stack, gray: GraySet, resolution: tuple[int, int] | None) -
 
 
 def flats(stack: Stack, gray: GraySet) -> Iterator[Finding]:
-    """Whether white is brighter than black; nothing without both."""
+    """Whether white is the brightest frame and black the darkest; nothing without both."""
     if gray.white is None or gray.black is None:
         return
-    white, black = (stack.frames[0, k].astype(np.float64) for k in (gray.white, gray.black))
+    exposure = int(np.argmin(stack.exposure_ms))
+    frames = stack.frames[exposure]
+    white, black = (frames[k].astype(np.float64) for k in (gray.white, gray.black))
     brighter = float(white.mean() - black.mean())
-    yield Finding(
-        "white and black",
-        "ok" if brighter > 0.0 else "wrong",
-        f"white is {brighter:.1f} DN brighter than black on average"
-        + ("" if brighter > 0.0 else ": exchange them"),
-        brighter,
-    )
+    if brighter <= 0.0:
+        said = f"white is {brighter:.1f} DN brighter than black on average: exchange them"
+        yield Finding("white and black", "wrong", said, brighter)
+        return
+    shown = frames[[k for k in (*gray.direct, *gray.inverse) if k is not None]]
+    contrast = white - black
+    sigma = np.sqrt(stack.sensor.variance_dn2(white, stack.exposure_ms[exposure]))
+    margin = np.maximum(CLEAR * sigma, BEYOND * np.abs(contrast))
+    beyond = (shown.max(axis=0) > white + margin) | (shown.min(axis=0) < black - margin)
+    share = float(beyond.mean())
+    said = f"white is {brighter:.1f} DN brighter than black on average"
+    if share > OUTSIDE:
+        said += f", but in {share:.0%} of the pixels a frame of the code is brighter than white or darker than black: correct the frames' order"
+    yield Finding("white and black", "wrong" if share > OUTSIDE else "ok", said, brighter)
 
 
 @dataclass(frozen=True)

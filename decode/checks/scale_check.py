@@ -28,7 +28,7 @@ MOVED = 10.0
 # The line must explain three quarters of the mean square difference.
 LEFT = 0.5
 # Edges of cells, and neighbouring pixels on both sides of each.
-FEWEST_EDGES, FEWEST_CROSSINGS = 8, 20
+FEWEST_EDGES, FEWEST_CROSSINGS = 5, 20
 
 
 def scales(stack: Stack, rec: Reconstruction, projector: int) -> Iterator[Finding]:

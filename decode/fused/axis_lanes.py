@@ -81,6 +81,12 @@ class AxisTracer:
             ratio = upper.period_px / lower.period_px
             order, residual = temporal.climb(device, coarse, order, ratio, fine)
             residuals.append(residual)
+        if plan.way == "field":
+            turns = (
+                plan.rungs[0].period_px / plan.sets[-1].period_px,
+                plan.field_px / plan.sets[-1].period_px,
+            )
+            order = temporal.in_field(device, phases[-1], order, *turns)
         usable = phasors[0].usable
         for phasor in phasors[1:]:
             usable = usable & phasor.usable

@@ -1,8 +1,8 @@
 """Heterodyne: from close fringe periods to a coarse, unambiguous one, and down again by the safest steps.
 
 The difference of two fringes' phases is the phase of their beat, period ``1 / |1/P1 - 1/P2|`` (Gushov & Solodkin 1991,
-Reich, Ritter & Thesing 1997); differences of beats beat again. A `Rung` is any such sum of measured phases with small whole
-coefficients. A ladder starts at a rung as wide as what is known beforehand (a Gray cell, the working volume, the
+Reich, Ritter & Thesing 1997); differences of beats beat again. A `Rung` is any such sum of measured phases with whole
+coefficients, small ones where they serve. A ladder starts at a rung as wide as what is known beforehand (a Gray cell, the working volume, the
 projector) and ends at the finest measured fringe; among all ladders it is the one whose worst step is the least likely to
 slip a fringe: a step from period Pa to Pb multiplies the phase noise of the upper rung by Pa / Pb.
 """
@@ -16,8 +16,12 @@ from math import gcd, hypot, inf, sqrt
 from decode.device import Device, Lanes
 from decode.phase.n_step import TURN
 
-# Largest coefficient of one phase: second beats need 2, larger ones multiply the noise beyond use.
+# Coefficients of one phase in beats, and in beats of beats.
 COEFFICIENTS = (0, 1, -1, 2, -2)
+# Periods without a common factor are unique over their product, which takes larger ones (number-theoretic unwrapping, Gushov &
+# Solodkin 1991). They multiply the noise: such a ladder is taken where no other is wide enough, and its worst step slips a fringe
+# at 1 / 128 of a turn or more. So many of the quietest wide rungs are tried.
+LARGEST, WORST_SLIP, MOST_WIDE = {2: 40, 3: 10}, 64.0, 40
 # Periods computed from fringe counts are rounded in their last digits, and so are their beats: a beat counts as wide as what
 # it misses by this part.
 ROUNDING = 1e-9
@@ -66,16 +70,23 @@ def ladder(periods_px: Sequence[float], width_px: float) -> tuple[Rung, ...] | N
         return single(periods_px)
     if len(periods_px) > MOST_SETS:
         return None
-    rungs = _rungs(periods_px)
-    goal = next(r for r in rungs if r.terms == ((len(periods_px) - 1, 1),))
-    # Smallest worst step, then fewest steps: Dijkstra's search with the maximum in place of the sum.
+    near = _rungs(periods_px)
+    return _safest(near, width_px) or _safest(
+        [*near, *_wide_rungs(periods_px, near)], width_px, WORST_SLIP
+    )
+
+
+def _safest(rungs: Sequence[Rung], width_px: float, limit: float = inf) -> tuple[Rung, ...] | None:
+    """Ladder of smallest worst step, then fewest steps: Dijkstra's search with the maximum in place of the sum."""
+    last = max(index for rung in rungs for index, _ in rung.terms)
+    goal = next(i for i, r in enumerate(rungs) if r.terms == ((last, 1),))
     queue = [(0.0, 0, i) for i, rung in enumerate(rungs) if rung.period_px >= width_px]
     before: dict[int, int | None] = {i: None for _, _, i in queue}
     best = {i: (0.0, 0) for _, _, i in queue}
     heapq.heapify(queue)
     while queue:
         worst, steps, i = heapq.heappop(queue)
-        if rungs[i] == goal:
+        if i == goal:
             return _path(rungs, before, i)
         if (worst, steps) > best[i]:
             continue
@@ -84,7 +95,7 @@ def ladder(periods_px: Sequence[float], width_px: float) -> tuple[Rung, ...] | N
                 continue
             slip = hypot(rungs[i].period_px / lower.period_px * rungs[i].noise, lower.noise)
             cost = (max(worst, slip), steps + 1)
-            if cost < best.get(j, (inf, 0)):
+            if cost[0] <= limit and cost < best.get(j, (inf, 0)):
                 best[j], before[j] = cost, i
                 heapq.heappush(queue, (*cost, j))
     return None
@@ -98,15 +109,30 @@ def widest_px(periods_px: Sequence[float]) -> float:
     """
     if len(periods_px) > MOST_SETS:
         return max(periods_px)
-    return max(rung.period_px for rung in _rungs(periods_px))
+    near = _rungs(periods_px)
+    widths = sorted({rung.period_px for rung in _wide_rungs(periods_px, near)}, reverse=True)
+    wide = (width for width in widths if ladder(periods_px, width) is not None)
+    return next(wide, max(rung.period_px for rung in near))
 
 
-def _rungs(periods_px: Sequence[float]) -> list[Rung]:
+def _wide_rungs(periods_px: Sequence[float], near: Sequence[Rung]) -> list[Rung]:
+    """The quietest rungs of large coefficients that are wider than the others."""
+    largest = LARGEST.get(len(periods_px), 0)
+    widest = max(rung.period_px for rung in near) * (1.0 + ROUNDING)
+    found = _rungs(periods_px, range(-largest, largest + 1), widest)
+    return sorted(found, key=lambda rung: rung.noise)[:MOST_WIDE]
+
+
+def _rungs(
+    periods_px: Sequence[float], coefficients: Sequence[int] = COEFFICIENTS, wider_px: float = 0.0
+) -> list[Rung]:
     found: dict[float, Rung] = {}
-    for factors in itertools.product(COEFFICIENTS, repeat=len(periods_px)):
+    for factors in itertools.product(coefficients, repeat=len(periods_px)):
         frequency = sum(c / period for c, period in zip(factors, periods_px, strict=True))
         finest = 1.0 / periods_px[-1]
-        if frequency < 1e-6 * finest or frequency > finest * (1.0 + 1e-9) or gcd(*factors) != 1:
+        if not 1e-6 * finest <= frequency <= finest * (1.0 + 1e-9) or frequency * wider_px > 1.0:
+            continue
+        if gcd(*factors) != 1:
             continue
         rung = Rung(1.0 / frequency, tuple((i, c) for i, c in enumerate(factors) if c))
         key = round(frequency / finest, 9)

@@ -9,6 +9,9 @@ fixes where heights are known.
 from decode.device import Device, Lanes
 from decode.phase.n_step import TURN
 
+# Periods of a range that count as a whole number, and of noise of the finest phase.
+WHOLE, NOISE = 1e-4, 0.01
+
 
 def anchored(device: Device, wrapped_rad: Lanes, period_px: float, expected_px: Lanes) -> Lanes:
     """Order (int32) that brings the coordinate within half a period of the expected one (An, Hyun & Zhang 2016)."""
@@ -26,6 +29,25 @@ def climb(
     turns = (types.Float(order) + coarse_rad * (1.0 / TURN)) * ratio - fine_rad * (1.0 / TURN)
     whole = types.Int32(dr.round(turns))
     return whole, dr.abs(turns - types.Float(whole))
+
+
+def in_field(
+    device: Device, wrapped_rad: Lanes, order: Lanes, range_turns: float, field_turns: float
+) -> Lanes:
+    """Order of a coordinate in the field, where noise of a beat as wide as the field took one at its border to the other side.
+
+    `range_turns`, over which the order is unique, and the field's size are in periods; nothing changes unless the range is a
+    whole number of them.
+    """
+    whole = round(range_turns)
+    if abs(range_turns - whole) > WHOLE:
+        return order
+    dr, types = device.dr, device.types
+    turns = types.Float(order) + wrapped_rad * (1.0 / TURN)
+    # Half of the rest is noise of the finest phase on either side.
+    margin = max(0.5 * (whole - field_turns), NOISE)
+    below, above = turns < -margin, turns > field_turns + margin
+    return order + dr.select(below, types.Int32(whole), 0) - dr.select(above, types.Int32(whole), 0)
 
 
 def coordinate(device: Device, wrapped_rad: Lanes, order: Lanes, period_px: float) -> Lanes:

@@ -23,9 +23,11 @@ THREE = PhaseShift(steps=3, periods_px=(16.0, 24.0), gray=GrayBits(bits=5, cell_
 CODE = GrayCode(bits=(9, 9), **BOTH)
 
 
-def large(patterns: PhaseShift | GrayCode, exposures: tuple[float, ...] = (1.0,)) -> Stack:
+def large(
+    patterns: PhaseShift | GrayCode, exposures: tuple[float, ...] = (1.0,), seed: int = 5
+) -> Stack:
     """Noisy 8-bit frames of a smooth surface, 200 x 150."""
-    rng = np.random.default_rng(5)
+    rng = np.random.default_rng(seed)
     height = hills(LARGE)
     columns, rows = coordinates(CALIBRATION, height)
     shown = patterns.frames()
@@ -90,6 +92,32 @@ def test_exchanged_frames_of_a_gray_code_are_detected(bits: tuple[int, int]) -> 
     assert check(exchanged(stack, one, two)).wrong
     # Both frames of both bits: each pair fits, their order does not.
     assert check(exchanged(exchanged(stack, one, two), one + 1, two + 1)).wrong
+
+
+@pytest.mark.parametrize("bit", [4, 6])
+@pytest.mark.parametrize("flat", [-1, -2])
+def test_white_or_black_in_place_of_a_bit_is_detected(flat: int, bit: int) -> None:
+    stack = large(GrayCode(bits=(9,), inverted=False, flat=True))
+    found = {f.name: f.verdict for f in check(stack).findings}
+    assert found["white and black"] == "ok"
+    frames = len(stack.patterns)
+    found = {f.name: f.verdict for f in check(exchanged(stack, bit, frames + flat)).findings}
+    assert found["white and black"] == "wrong"
+
+
+@pytest.mark.parametrize(("period_px", "verdict"), [(16.0, "ok"), (16.4, "wrong")])
+def test_fringes_shown_again_must_have_the_phase_of_the_first(
+    period_px: float, verdict: str
+) -> None:
+    once = large(PhaseShift(steps=3, periods_px=(16.0,)), seed=0)
+    again = large(PhaseShift(steps=3, periods_px=(period_px,)), seed=1)
+    frames = np.concatenate([once.frames, again.frames], axis=1)
+    stack = replace(once, frames=frames, patterns=once.patterns * 2)
+    found = {f.name: f for f in check(stack).findings}["column fringes of 16 px, repeat"]
+    assert found.verdict == verdict
+    # Two phases of equal noise differ by a normal number of sqrt(2) sigma; the median of its size is 0.67 of that.
+    if verdict == "ok":
+        assert found.value == pytest.approx(0.674 * 2**0.5, rel=0.1)
 
 
 @pytest.mark.parametrize("bit", [0, 3, 5])

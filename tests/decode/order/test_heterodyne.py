@@ -76,6 +76,44 @@ TEXTBOOK = [
 ]
 
 
+# Periods in px without a common factor, unique over their product (Gushov & Solodkin 1991): beats reach half of it at most.
+COPRIME = [
+    (483, (21.0, 23.0)),
+    (1023, (31.0, 33.0)),
+    (783, (27.0, 29.0)),
+    (2145, (11.0, 13.0, 15.0)),
+    (1920, (17.0, 19.0, 21.0)),
+]
+
+
+@pytest.mark.parametrize(("width", "periods"), COPRIME)
+@pytest.mark.parametrize("sigma_dn", [0.01, 0.7])
+def test_periods_without_a_common_factor_are_unique_over_their_product(
+    width: int, periods: tuple[float, ...], sigma_dn: float
+) -> None:
+    """Noise of 0.7 DN in 80 is 1/1000 of a turn: a step that multiplies it by 64 slips at eight standard deviations."""
+    assert widest_px(sorted(periods, reverse=True)) >= width * (1.0 - 1e-9)
+    at = np.linspace(0.5, width - 0.5, 16384).reshape(128, 128)
+    shown = PhaseShift(steps=4, periods_px=periods).frames()
+    ideal = synthetic.frames({"column": at}, shown, 120.0, 80.0)
+    noisy = ideal + np.random.default_rng(1).normal(0.0, sigma_dn, ideal.shape)
+    sensor = SimpleSensor(bits=0, sigma_dn=sigma_dn)
+    stack = Stack(
+        noisy.astype(np.float32)[None], shown, (1.0,), sensor, projector_resolution=(width, width)
+    )
+    rec = decode.reconstruct(stack, height="phase")
+    assert rec.order_known
+    assert rec.valid.mean() > 0.999
+    # An order error would be a whole period.
+    assert np.abs(rec.phases["column"].coordinate_px - at)[rec.valid].max() < 5.0
+
+
+def test_ladder_that_multiplies_noise_beyond_use_is_not_taken() -> None:
+    """61 and 67 px are unique over 4087 px, by a step that multiplies noise by 190."""
+    assert ladder((67.0, 61.0), 4000.0) is None
+    assert widest_px((67.0, 61.0)) < 2000.0
+
+
 @pytest.mark.parametrize(("width", "fringes"), TEXTBOOK)
 @pytest.mark.parametrize("steps", [3, 4, 8])
 def test_periods_whose_beat_is_the_projectors_size_decode_without_order_errors(
