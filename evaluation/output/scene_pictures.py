@@ -30,7 +30,7 @@ def scene_picture(stack: Stack, truth: Truth) -> Figure:
         mask = truth.label == index + 1
         if not mask.any() or mask.all():
             continue
-        if label != "base":
+        if label != "base" and not _is_speckle(mask):
             axes.contour(mask, levels=[0.5], colors="#E69F00", linewidths=0.8)
         row, col = _inside(mask)
         axes.annotate(
@@ -42,6 +42,12 @@ def scene_picture(stack: Stack, truth: Truth) -> Figure:
             bbox={"boxstyle": "round,pad=0.2", "facecolor": "black", "alpha": 0.6, "linewidth": 0},
         )
     return figure
+
+
+def _is_speckle(mask: NDArray[np.bool_]) -> bool:
+    """Whether a region is mostly outline, as grains of a few pixels are: lines would hide what they outline."""
+    inner = ndimage.binary_erosion(mask)
+    return bool(2 * inner.sum() < mask.sum())
 
 
 def frames_picture(stack: Stack) -> Figure:

@@ -64,10 +64,11 @@ def card_sections(found: Dataset[Sample]) -> list[Section]:
     camera = scene.camera.projection()
     width, height = scene.camera.resolution
     x0, x1 = camera.points_at(0.0)[height // 2, [0, -1], 0]
+    sensor = {"kind": scene.sensor.kind} | scene.sensor.model_dump(exclude_defaults=True)
     content = [
         ["picture", f"{width} x {height} px, {1e3 * abs(x1 - x0) / (width - 1):.1f} um per pixel"],
         ["frames", f"{len(scene.frames)} per exposure, {len(scene.projectors)} projector(s)"],
-        ["sensor", json.dumps(scene.sensor.model_dump(mode="json", exclude_defaults=True))],
+        ["sensor", ", ".join(f"{key} {value}" for key, value in sensor.items())],
         ["files of a sample", ", ".join(plan.sample_files)],
         ["samples per light", str(plan.variants)],
     ]

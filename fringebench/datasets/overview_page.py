@@ -10,8 +10,17 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import scenes
-from evaluation.output.plots import MEASURED
-from evaluation.output.report import Block, Grid, Listing, Paragraph, Picture, Report, Section
+from evaluation.output.plots import MEASURED, spread
+from evaluation.output.report import (
+    Block,
+    Grid,
+    Headline,
+    Listing,
+    Paragraph,
+    Picture,
+    Report,
+    Section,
+)
 from evaluation.output.sheet import Panel, contact_sheet
 from fringebench.datasets.data_card import card_sections
 from fringebench.datasets.dataset_plan import DatasetPlan
@@ -45,16 +54,14 @@ def _report(found: Dataset[Sample], store: Store, card: bool) -> Report:
     sections = [Section("Samples", _counts(plan, records))]
     if len(found):
         some = [found[int(i)] for i in np.unique(np.linspace(0, len(found) - 1, SHOWN).round())]
-        sheet = contact_sheet(
-            [panel for s in some for panel in _panels(s)], columns=4, thumb_px=240
-        )
+        sheet = contact_sheet(example_panels(some), columns=4, thumb_px=240)
         sections.append(
             Section(
                 "Examples",
                 [
                     Picture(
                         sheet,
-                        "Mean of the frames of the middle exposure, and true height.",
+                        "Mean of the frames of the middle exposure, and true height; all on the same scales.",
                         wide=True,
                     )
                 ],
@@ -75,7 +82,20 @@ def _report(found: Dataset[Sample], store: Store, card: bool) -> Report:
         f"fringebench: {len(found)} samples of {scene.name}",
         scene.description,
         [*sections, Section(about.title, [*about.blocks, listing])],
+        _headline(records),
     )
+
+
+def _headline(records: Sequence[Record]) -> Headline:
+    """How many samples there are, and what they hold."""
+    made = [record for record in records if record.status == "made"]
+    pads, defective = sum(r.pads for r in made), sum(r.defective for r in made)
+    text = f"{len(made)} samples"
+    if pads:
+        text += f" with {pads} pads, {defective} of them with a defect"
+    missing = len(records) - len(made)
+    text += f"; {missing} could not be made." if missing else "; all were made."
+    return Headline(text, "attention" if missing else "good")
 
 
 def _counts(plan: DatasetPlan, records: Sequence[Record]) -> list[Block]:
@@ -97,13 +117,20 @@ def _counts(plan: DatasetPlan, records: Sequence[Record]) -> list[Block]:
     return blocks
 
 
-def _panels(sample: Sample) -> tuple[Panel, Panel]:
-    stack = sample.stack
-    light = stack.frames[len(stack.exposure_ms) // 2].mean(axis=0, dtype=np.float64)
-    return (
-        Panel(f"{sample.index} ({sample.split})", light, "DN", "gray"),
-        Panel("true height", sample.truth.height_mm, "mm"),
-    )
+def example_panels(samples: Sequence[Sample]) -> list[Panel]:
+    """Light and true height of each sample, each on a scale that all share."""
+    stacks = [sample.stack for sample in samples]
+    lights = [s.frames[len(s.exposure_ms) // 2].mean(axis=0, dtype=np.float64) for s in stacks]
+    heights = [sample.truth.height_mm for sample in samples]
+    dn, mm = (spread(np.concatenate([x.ravel() for x in images])) for images in (lights, heights))
+    return [
+        panel
+        for sample, light, height in zip(samples, lights, heights, strict=True)
+        for panel in (
+            Panel(f"{sample.index} ({sample.split})", light, "DN", "gray", dn),
+            Panel("true height", height, "mm", limits=mm),
+        )
+    ]
 
 
 def _drawn(records: Sequence[Record]) -> Figure | None:

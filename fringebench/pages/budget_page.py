@@ -73,6 +73,8 @@ def budget_figure(found: ErrorBudget) -> Figure:
     axes.set_yticks(range(len(regions)), labels)
     axes.invert_yaxis()
     axes.axvline(0.0, color="black", linewidth=0.8)
+    # Bars end at the limits otherwise: stacked ones stick to where they start.
+    axes.use_sticky_edges = False
     axes.margins(x=0.03)
     axes.set_xlabel("share of the mean square error (%)")
     figure.legend(loc="outside upper center", ncols=5, fontsize="small")

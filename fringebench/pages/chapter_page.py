@@ -7,10 +7,9 @@ from rich.table import Table
 
 from evaluation.output.report import Listing, Paragraph, Picture, Report, Section
 from fringebench.experiments.textbook import ChapterResult
-from fringebench.pages.figure_tables import figure_table, grid
+from fringebench.pages.figure_tables import figure_table, grid, number
 from fringebench.pages.headlines import chapter_headline
 from fringebench.pages.origin import provenance
-from fringebench.pages.score_tables import number
 
 CAPTIONS = {
     "1-fringes": "The finest fringes in four steps of a quarter period: the cap bends them, the step breaks them.",

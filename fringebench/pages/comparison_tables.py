@@ -16,7 +16,7 @@ from evaluation.hdr.comparison import (
 )
 from evaluation.output.plots import MEASURED, MISSING, UM_PER_MM, save
 from fringebench.output_folder import locked, prepare, write_json
-from fringebench.pages.figure_tables import figure_table
+from fringebench.pages.figure_tables import figure_table, number
 
 COLUMNS = (
     "equal",
@@ -83,7 +83,7 @@ def _mark(best: list[bool]) -> str:
 def _text(estimate: MeanInterval | None, scale: float, digits: int, interval: bool = True) -> str:
     if estimate is None:
         return "-"
-    text = f"{estimate.value * scale:.{digits}f}"
+    text = number(estimate.value, scale, digits)
     if interval and estimate.half_width is not None:
         text += f" ±{estimate.half_width * scale:.{digits}f}"
     return text

@@ -23,6 +23,19 @@ def figure_table(
     return table
 
 
+def number(value: float | None, scale: float, digits: int, signed: bool = False) -> str:
+    """A figure times `scale`, with so many digits; a dash for None; a sign, if requested, for what is not 0.
+
+    >>> number(-1e-4, 100, 1), number(2e-3, 1000, 2, signed=True)
+    ('0.0', '+2.00')
+    """
+    if value is None:
+        return "-"
+    # Adding 0.0 turns a rounded -0.0 into 0.0.
+    rounded = round(value * scale, digits) + 0.0
+    return f"{rounded:{'+' if signed and rounded else ''}.{digits}f}"
+
+
 def grid(table: Table, best: Sequence[int] = (), words: bool = False) -> "Grid":
     """Cells of a table without markup; rows `best` are printed bold."""
     from evaluation.output.report import Grid

@@ -8,7 +8,7 @@ from evaluation.output.report import Headline
 from evaluation.scoring.error_budget import ErrorBudget
 from fringebench.experiments.textbook import ChapterResult
 from fringebench.gate.regression_result import Regression
-from fringebench.pages.score_tables import number
+from fringebench.pages.figure_tables import number
 
 # RMS error over predicted noise, above which a region is called wrong.
 TOLERATED = 1.5

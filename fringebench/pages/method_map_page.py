@@ -8,7 +8,7 @@ from rich.table import Table
 
 from evaluation.output.report import Grid, Headline, Paragraph, Picture, Report, Section
 from fringebench.experiments.surface_methods import Cell, MethodMap
-from fringebench.pages.score_tables import number
+from fringebench.pages.figure_tables import number
 
 # Below this coverage an error says nothing.
 FEW = 0.01

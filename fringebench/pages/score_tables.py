@@ -7,7 +7,7 @@ from rich.table import Table
 import evaluation
 from evaluation.scoring.error_budget import ErrorBudget
 from fringebench.diagnosis import Diagnosis
-from fringebench.pages.figure_tables import figure_table
+from fringebench.pages.figure_tables import figure_table, number
 
 STEREO_TITLE, STEREO_COLUMNS = "missing or wrong matches", ("bad 1 px %", "bad 2 px %")
 
@@ -116,7 +116,7 @@ def budget_table(found: ErrorBudget) -> Table:
                 number(alone / total if alone is not None and total else None, 100, 1),
                 number(_root(removed), 1000, 2),
                 number(bias, 1000, 2),
-                f"{coverage * 100:+.1f}" if coverage else "",
+                number(coverage, 100, 1, signed=True) if coverage else "",
             )
         table.add_row(
             "", "[bold]total[/]", number(_root(total), 1000, 2), "", "", "", number(region.coverage, 100, 1),
@@ -142,9 +142,3 @@ def doctor_table(diagnosis: Diagnosis) -> Table:
     llvm = f"{diagnosis.llvm_version} at {diagnosis.llvm_path} ({diagnosis.llvm_origin})"
     table.add_row("LLVM", llvm if diagnosis.llvm_path else "none")
     return table
-
-
-def number(value: float | None, scale: float, digits: int) -> str:
-    """A figure times `scale`, with so many digits; a dash for None."""
-    # Adding 0.0 turns a rounded -0.0 into 0.0.
-    return "-" if value is None else f"{round(value * scale, digits) + 0.0:.{digits}f}"

@@ -14,7 +14,7 @@ from fringebench.cli import shared_options as opt
 from fringebench.cli.outputs import check_outputs
 from fringebench.cli.overrides import parse_overrides
 from fringebench.cli.terminal import print_figures, print_json, progress_steps, say
-from fringebench.pages.figure_tables import figure_table
+from fringebench.pages.figure_tables import figure_table, number
 from fringebench.progress import Mode
 
 if TYPE_CHECKING:
@@ -186,11 +186,11 @@ def _errors(errors: dict[str, Any], title: str) -> Table:
             name,
             str(e.pads),
             str(e.unmeasured),
-            f"{e.volume_bias_percent:+.2f}",
+            number(e.volume_bias_percent, 1, 2, signed=True),
             f"{e.volume_sd_percent:.2f}",
             f"{e.volume_max_percent:.1f}",
-            f"{e.area_bias_percent:+.1f}",
-            f"{1e3 * e.height_bias_mm:+.2f}",
+            number(e.area_bias_percent, 1, 1, signed=True),
+            number(e.height_bias_mm, 1e3, 2, signed=True),
             f"{1e3 * e.offset_rms_mm:.2f}",
         ]
         for name, e in errors.items()

@@ -17,6 +17,7 @@ from fringebench.cli.terminal import (
     print_json,
     progress_steps,
 )
+from fringebench.pages.figure_tables import number
 from fringebench.progress import Mode
 
 app = typer.Typer()
@@ -122,7 +123,7 @@ def calibrate(
             row,
             f"{true:.5g}",
             f"{found:.6g}",
-            f"{difference:+.3%}" if relative else f"{difference:+.4g}",
+            f"{number(difference, 100, 3, signed=True)} %" if relative else f"{difference:+.4g}",
         )
     console = answer_console()
     print_figures([table])

@@ -12,8 +12,10 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
+import scenes
 from decode import Reconstruction
 from evaluation.output import plots
+from evaluation.output.scene_pictures import scene_picture
 from scenes.files.truth_maps import Truth
 from scenes.support.errors import FileError, ScoreError
 from tests.evaluation.synthetic_truth import Floats, Grid, TruthMaker
@@ -133,3 +135,17 @@ def test_impossible_figures_are_refused(measured: Measured, tmp_path: Path) -> N
 def test_png_is_a_png_file() -> None:
     image = Image.open(io.BytesIO(plots.png(plots.map_figure(np.eye(9), "Map", "mm"))))
     assert image.format == "PNG"
+
+
+def test_grains_of_few_pixels_are_not_hidden_by_outlines(truth_of: TruthMaker, grid: Grid) -> None:
+    x, y = grid(SHAPE)
+    grains = (np.random.default_rng(0).random(SHAPE) < 0.3) & (x > 0.0)
+    disc = np.hypot(x + 2.0, y) < 1.0
+    truth = truth_of(np.zeros(SHAPE), {"base": True, "grains": grains, "disc": disc})
+    frames = np.full((1, 3, *SHAPE), 100, np.uint8)
+    patterns = tuple(scenes.Frame("column", 16.0, k, 3, 2 * np.pi * k / 3) for k in range(3))
+    stack = scenes.Stack(frames, patterns, (1.0,), scenes.SimpleSensor(bits=8))
+    shown = scene_picture(stack, truth)
+    axes = axes_of(shown, "The scene")
+    assert {text.get_text() for text in axes.texts} == {"base", "grains", "disc"}
+    assert len(axes.collections) == 1, "only the disc is outlined"

@@ -1,5 +1,6 @@
 """Every command's page: what it shows, and that a browser shows it."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,8 @@ from evaluation.gate.regression import JudgedFigure
 from evaluation.scoring.error_budget import budget, variants
 from fringebench.datasets.building import build
 from fringebench.datasets.dataset_plan import DatasetPlan
-from fringebench.datasets.overview_page import write_report
+from fringebench.datasets.overview_page import example_panels, write_report
+from fringebench.datasets.reader import Dataset
 from fringebench.exchange.viewer import read_view, write_view
 from fringebench.experiments.hdr_comparison import compare as compare_strategies
 from fringebench.experiments.textbook import CAPTURES, ChapterResult, ChapterRow
@@ -68,7 +70,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory, small_run: Path) -> Path:
         ("compare", ["max-modulation", "censored-ml", "Cramér", "solder"]),
         ("regress", ["Failed: 1 of 3 figures, in 1 region", "sweep / ink", "✗"]),
         ("budget", ["interaction", "method itself", "base"]),
-        ("dataset", ["train", "spi", "dataset.toml"]),
+        ("dataset", ["train", "spi", "dataset.toml", "2 samples with"]),
         ("view", ["saturated", "calibration"]),
     ],
 )
@@ -77,6 +79,11 @@ def test_page_shows_what_its_command_found(pages: Path, name: str, words: list[s
     for word in words:
         assert word in text
     assert "<img" in text
+    # Neither a table nor a sentence has a signed zero.
+    assert not re.search(
+        r"[-−]0(\.0+)?(?=[<\s])",
+        re.sub(r"<pre.*?</pre>|<script.*?</script>", "", text, flags=re.DOTALL),
+    )
     assert "http://" not in text.replace("http://www.w3.org", "")
 
 
@@ -85,6 +92,17 @@ def test_data_set_with_its_page_is_verified(pages: Path) -> None:
 
     write_report(pages / "set")
     assert verify(pages / "set") == ()
+
+
+def test_examples_of_a_data_set_share_one_scale(pages: Path) -> None:
+    panels = example_panels(list(Dataset(pages / "set")))
+    for unit in ("DN", "mm"):
+        shown = [panel for panel in panels if panel.unit == unit]
+        assert len(shown) == 2
+        assert shown[0].limits == shown[1].limits
+        everything = np.concatenate([np.ravel(panel.values) for panel in shown])
+        low, high = shown[0].limits or (0.0, 0.0)
+        assert np.mean((everything < low) | (everything > high)) < 0.02
 
 
 @pytest.mark.slow
@@ -99,6 +117,8 @@ def test_page_fits_a_narrow_screen_and_has_no_empty_figures(
     tab.set_viewport_size({"width": 360, "height": 700})
     assert tab.evaluate("() => document.documentElement.scrollWidth - window.innerWidth") <= 0
     tab.set_viewport_size({"width": 1400, "height": 900})
+    # No table is clipped on a wide screen.
+    tab.until(lambda: tab.locator(".hint:visible").count() == 0)
     assert max(tab.evaluate(LOPSIDED), default=0.0) < 2.0, "a row of figures is half empty"
     assert tab.said == []
 
