@@ -18,15 +18,8 @@ from evaluation.scoring.disparity import DisparityScore
 from evaluation.scoring.error_budget import ErrorBudget
 from evaluation.scoring.feature_fits import Feature, features, robust_fit
 from evaluation.scoring.reference_bodies import FittedPlane, FittedSphere, fit_plane, fit_sphere
-from evaluation.scoring.regions import (
-    RegionScore,
-    Score,
-    UnlitScore,
-    height_error_mm,
-    region_scores,
-    score,
-    scored,
-)
+from evaluation.scoring.regions import height_error_mm, region_scores, score, scored
+from evaluation.scoring.score_result import RegionScore, Score, UnlitScore
 from evaluation.theory.clipping import SaturationBias, saturation_bias
 from evaluation.theory.cramer_rao import Efficiency, FringeLight, efficiency, phase_bound_rad2
 

@@ -10,7 +10,8 @@ from scipy import stats
 
 from decode import Reconstruction
 from decode.phase import wrap
-from evaluation.scoring.regions import RegionScore, region_scores, scored
+from evaluation.scoring.regions import region_scores, scored
+from evaluation.scoring.score_result import RegionScore
 from evaluation.theory.cramer_rao import CONFIDENCE, FringeLight, efficiency
 from scenes.files.truth_maps import Truth
 

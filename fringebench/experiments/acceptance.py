@@ -1,7 +1,8 @@
 """Virtual acceptance test of a rig: a ball bar and a plane in several positions of the working volume (VDI/VDE 2634-2)."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -76,19 +77,11 @@ class Acceptance:
 
     def worst(self) -> dict[str, float]:
         """Largest absolute error of each measure, mm."""
-        found: dict[str, float] = {}
-        for position in self.positions:
-            for name, value in position.error_mm.items():
-                found[name] = max(found.get(name, 0.0), abs(value))
-        return found
+        return _largest(position.error_mm for position in self.positions)
 
     def noise(self) -> dict[str, float]:
         """Largest error of each measure that noise alone would cause, mm."""
-        found: dict[str, float] = {}
-        for position in self.positions:
-            for name, value in position.noise_mm.items():
-                found[name] = max(found.get(name, 0.0), value)
-        return found
+        return _largest(position.noise_mm for position in self.positions)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
@@ -151,13 +144,21 @@ def accept(scene: Scene, seed: int = 0, steps: Steps | None = None) -> Acceptanc
         with steps.step(f"ball bar {i + 1} of {len(BARS)}"):
             ends = _ends(field, (low, high), radius, bar, direction, shift, heights)
             positions.append(_bar(scene, ends, radius, seed + i))
-    size = _plane_size(field, diagonal)
-    for i, (height, about_x, about_y) in enumerate(PLANES):
+    width, height = field.size_mm
+    size = min(0.9 * width, max(PLANE * diagonal, 0.6 * width)), 0.7 * height
+    for i, (level, about_x, about_y) in enumerate(PLANES):
         with steps.step(f"plane {i + 1} of {len(PLANES)}"):
             tilt = _tilt_deg(size, (low, high), (about_x, about_y))
-            middle = [*field.middle_mm, _between((low, high), height, 0.1)]
+            middle = [*field.middle_mm, _between((low, high), level, 0.1)]
             positions.append(_plane(scene, middle, tilt, size, seed + 100 + i))
     return Acceptance(scene.name, diagonal, 2.0 * radius, bar, size, tuple(positions))
+
+
+def _largest(found: Iterable[Mapping[str, float]]) -> dict[str, float]:
+    largest: dict[str, float] = {}
+    for name, value in chain.from_iterable(one.items() for one in found):
+        largest[name] = max(largest.get(name, 0.0), abs(value))
+    return largest
 
 
 def _between(span: tuple[float, float], share: float, margin: float) -> float:
@@ -186,9 +187,7 @@ def _ends(
     inside = np.abs(ends - field.middle_mm) + radius <= np.array(field.size_mm) / 2.0
     # A bar that does not fit is moved to the middle of the field, then turned along its longer side.
     if not inside.all():
-        along = (
-            np.array([1.0, 0.0]) if field.size_mm[0] >= field.size_mm[1] else np.array([0.0, 1.0])
-        )
+        along = np.eye(2)[int(field.size_mm[0] < field.size_mm[1])]
         room_across = (np.array(field.size_mm) / 2.0 - radius) * (1.0 - along)
         offset = np.clip(np.multiply(shift, field.size_mm), -room_across, room_across)
         middle = field.middle_mm + offset * (1.0 - along)
@@ -197,14 +196,8 @@ def _ends(
 
 
 def _bar(scene: Scene, ends: NDArray[np.float64], radius: float, seed: int) -> Position:
-    shape = {
-        "kind": "cap",
-        "profile": "spherical",
-        "radius_mm": radius,
-        "height_mm": radius,
-        "rings": 512,
-        "segments": 512,
-    }
+    shape = {"kind": "cap", "profile": "spherical", "radius_mm": radius, "height_mm": radius}
+    shape |= {"rings": 512, "segments": 512}
     objects = [
         {"label": label, "material": "artefact", "shape": shape, "position_mm": list(end)}
         for label, end in zip(("one", "two"), ends.tolist(), strict=True)
@@ -290,11 +283,6 @@ def _noise(
     """Range in mm that the predicted height noise alone would cause over so many points, at the median slope."""
     sigma = np.sqrt(np.mean(rec.sigma_mm[region].astype(np.float64) ** 2))
     return float(sigma * expected_range(fitted.points))
-
-
-def _plane_size(field: CommonField, diagonal: float) -> tuple[float, float]:
-    width, height = field.size_mm
-    return min(0.9 * width, max(PLANE * diagonal, 0.6 * width)), 0.7 * height
 
 
 def _tilt_deg(

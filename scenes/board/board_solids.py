@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.board.board import CONTAMINATION, Board
-from scenes.board.printing import PasteBridge, Print, printed
+from scenes.board.deposits import PasteBridge, Print
+from scenes.board.printing import printed
 from scenes.board.surface import surfaces
 from scenes.board.warp import FACE_MM, WarpedPlane
 from scenes.shapes.heightfield import Heightfield

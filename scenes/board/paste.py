@@ -15,7 +15,8 @@ from pydantic import Field, PositiveFloat, model_validator
 from scipy.spatial import cKDTree
 
 from scenes.shapes.grains import Powder
-from scenes.shapes.heightfield import Heightfield, Tessellation
+from scenes.shapes.heightfield import Heightfield
+from scenes.shapes.tessellation import Tessellation
 from scenes.support.distribution import NonNegative, Quantity, within
 from scenes.support.errors import MeshError
 from scenes.support.frozen import Frozen
@@ -226,8 +227,7 @@ def deposit(
 def shoulder(depth_mm: Floats, edge_mm: float, wall: float) -> Floats:
     """Profile of a deposit's edge: an upright wall up to `wall`, then a quarter ellipse up to 1 at the depth `edge_mm`."""
     q = np.minimum(depth_mm / edge_mm, 1.0)
-    rounded: Floats = wall + (1.0 - wall) * np.sqrt(q * (2.0 - q))
-    return rounded
+    return np.asarray(wall + (1.0 - wall) * np.sqrt(q * (2.0 - q)))
 
 
 def _shape(
@@ -262,8 +262,7 @@ def _peak(mesh: Tessellation, xy: Floats, form: Form, paste: Paste) -> Floats:
     sigma = form.peak_width_mm / 2.3548
     offset = xy - (centre + half * np.asarray(form.peak_at))
     bump = np.exp(-0.5 * (offset**2).sum(axis=1) / sigma**2)
-    peak: Floats = form.peak_mm * bump * shoulder(mesh.depth_mm, paste.fine_step_mm, 0.0)
-    return peak
+    return np.asarray(form.peak_mm * bump * shoulder(mesh.depth_mm, paste.fine_step_mm, 0.0))
 
 
 def _extent(xy: Floats) -> tuple[Floats, Floats]:
@@ -280,8 +279,7 @@ def _waves(xy: Floats, wavelength_mm: float, rng: np.random.Generator) -> Floats
     angle, phase = rng.uniform(0.0, 2.0 * np.pi, (2, WAVES))
     number = 2.0 * np.pi / wavelength_mm * rng.uniform(0.4, 1.6, WAVES)
     k = number * np.stack([np.cos(angle), np.sin(angle)])
-    waves: Floats = np.sqrt(2.0 / WAVES) * np.cos(xy @ k + phase).sum(axis=1)
-    return waves
+    return np.asarray(np.sqrt(2.0 / WAVES) * np.cos(xy @ k + phase).sum(axis=1))
 
 
 def _grains(xy: Floats, height: Floats, paste: Paste, rng: np.random.Generator) -> Floats:
@@ -304,5 +302,4 @@ def _grains(xy: Floats, height: Floats, paste: Paste, rng: np.random.Generator) 
     dome = np.sqrt(np.maximum(reach**2 - distance**2, 0.0)) - reach
     # The flux level is three quarters of a radius below the tops.
     relief = np.maximum(dome.max(axis=1), -0.375 * pitch)
-    grained: Floats = np.maximum(height + relief, 0.2 * height)
-    return grained
+    return np.asarray(np.maximum(height + relief, 0.2 * height))

@@ -12,7 +12,8 @@ import shapely
 from numpy.typing import NDArray
 
 from scenes.board.defects import CLASSES
-from scenes.board.printing import Deposit, Print, printed
+from scenes.board.deposits import Deposit, Print
+from scenes.board.printing import printed
 from scenes.rig.projection import Projection
 from scenes.scene import Scene
 from scenes.support.errors import SceneError

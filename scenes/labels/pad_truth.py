@@ -10,7 +10,8 @@ from typing import Any, Self
 from pydantic import ValidationError
 
 from scenes.board.defects import DefectClass
-from scenes.board.printing import Deposit, Print, printed
+from scenes.board.deposits import Deposit, Print
+from scenes.board.printing import printed
 from scenes.scene import Scene
 from scenes.support.atomic_file import replacing
 from scenes.support.distribution import Range

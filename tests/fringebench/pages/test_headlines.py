@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import evaluation
-from evaluation.scoring.regions import RegionScore, UnlitScore
+from evaluation.scoring.score_result import RegionScore, UnlitScore
 from fringebench.experiments.textbook import ChapterResult, ChapterRow
 from fringebench.pages.headlines import chapter_headline, run_headline
 

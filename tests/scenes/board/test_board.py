@@ -11,9 +11,10 @@ import trimesh
 import scenes
 from scenes.board.board import Board, ParametricBoard
 from scenes.board.component_packages import Bga, Qfn, Qfp
+from scenes.board.deposits import Print
 from scenes.board.pad_layout import circle, rectangle
 from scenes.board.paste import Transfer
-from scenes.board.printing import Print, artwork, printed
+from scenes.board.printing import artwork, printed
 from scenes.board.surface import surfaces
 from scenes.labels.pad_truth import BoardTruth, PadTruth, truth_of
 from scenes.support.errors import SceneError

@@ -9,7 +9,8 @@ import trimesh
 
 from scenes.board.pad_layout import disk
 from scenes.board.paste import Form, Paste, Transfer, area_ratio, deposit
-from scenes.shapes.heightfield import Heightfield, tessellate
+from scenes.shapes.heightfield import Heightfield
+from scenes.shapes.tessellation import tessellate
 from scenes.support.errors import MeshError
 
 PLAIN = Form(edge_mm=0.04, wall=0.3, scoop=0.0, dog_ear=0.0, roughness=0.0)

@@ -7,8 +7,9 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scenes.shapes.heightfield import Heightfield, tessellate
+from scenes.shapes.heightfield import Heightfield
 from scenes.shapes.solids import Tiles
+from scenes.shapes.tessellation import tessellate
 from scenes.support.errors import MeshError
 
 OUTLINES = {
