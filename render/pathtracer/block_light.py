@@ -135,8 +135,8 @@ def phasor_variance(
 def scatter_about_direct(light: BlockLight, number: Counts) -> Floats:
     """Variance of one block across and along its phasor from direct and from indirect light, (part, 2, fringe, projector, entry).
 
-    Relative to the square of the modulation, so that the first is that of the phase, rad^2. About the phasor of direct light alone, which few paths know well; one bright path among few pulls the phasor of all light
-    towards itself, and looks harmless. NaN for one block or without a fringe.
+    About the phasor of direct light, which few paths know well; one bright path among few pulls the phasor of all light
+    towards itself, and looks harmless. NaN for one block or without any light.
     """
     first = np.cumsum(number, dtype=np.int64) - number
     local = np.repeat(np.arange(number.size), number)
@@ -148,11 +148,11 @@ def scatter_about_direct(light: BlockLight, number: Counts) -> Floats:
     result = np.empty((2, 2, *light.phasor.shape[1:3], number.size))
     for f, p in np.ndindex(light.phasor.shape[1:3]):
         total, direct = light.phasor[:, f, p].astype(np.complex128)
-        own = mean(direct)
-        # Where there is hardly any direct light, the phase is not its own either.
-        modulation = np.maximum(np.abs(own), np.abs(mean(total)) / 2.0)
+        own, whole = mean(direct), mean(total)
+        # Without any direct light the phase is that of indirect light.
+        own = np.where(own == 0.0, whole, own)
         with np.errstate(divide="ignore", invalid="ignore"):
-            unit = (own.conj() / np.abs(own) / modulation)[local]
+            unit = (own.conj() / np.abs(own))[local]
             for part, z in enumerate((direct, total - direct)):
                 off = z * unit
                 off -= mean(off)[local]

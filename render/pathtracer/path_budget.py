@@ -1,11 +1,11 @@
 """How many light paths and places each pixel needs, so that the noise of light stays below a share of the sensor's.
 
-Everything here is learnt from a pilot that is thrown away: what decides is not what is averaged, so the light stays
-unbiased. A pixel's phase noise has the variance ``v / n``, v of one path; the cheapest way to a sum of such variances is n
-in proportion to the root of v (Neyman 1934). The scatter of a few paths is a bad estimate of one pixel's v. Known well are the
-modulation B and, over some neighbours, the mean of indirect light L: ``n = k sqrt(L) / B``. The measured scatter only sets
-k, one for each label. Behind a lens, light of a pixel counts in each label around it, by the squares of the blur's weights;
-it gets as many paths as the label that needs the most of it asks for.
+What decides is not what is averaged, so the light stays unbiased: a pilot that is thrown away decides on the first paths, and
+each half of these on the rest of the other half. A pixel's phase noise has the variance ``v / n``, v of one path; the
+cheapest way to a sum of such variances is n in proportion to the root of v (Neyman 1934). The scatter of a few paths is a
+bad estimate of one pixel's v. Known better are the modulation B and, over some neighbours, the mean of indirect light L:
+``n = k sqrt(L) / B``. The measured scatter only sets k, one for each label. Behind a lens, light of a pixel counts in each
+label around it, by the squares of the blur's weights; it gets as many paths as the label that needs the most of it asks for.
 """
 
 from dataclasses import dataclass
@@ -25,6 +25,8 @@ Mask = NDArray[np.bool_]
 BLOCK_PATHS = 16
 # Blocks of a pixel that counts at least, two in each half, so that a half shows a scatter; and of other pixels.
 FEWEST_BLOCKS, FEWEST_ELSEWHERE = 4, 2
+# Paths from one place at most, on average.
+PATHS_OF_PLACE = 4
 # A block of the pilot.
 PILOT_PLACES, PILOT_PATHS = 4, 2
 # The pilot has this many paths in each label at least, so that the label's scatter is known; and in a pixel at most.
@@ -39,19 +41,25 @@ CEILING = 30.0
 DIRECT = 0.15
 MOST_PLACES = 64
 # Of the noise allowed, what is aimed at: two seeds show no more than was asked for.
-AIMED = 0.75
+AIMED = 0.9
+# Of the paths that the pilot asks for, those traced before the halves ask for the rest: it often asks for too many.
+FIRST = 0.35
 # Variance of direct light falls with the places of a block to this power; of a lens, whose points are not paired, by 1.
 PLACES_POWER, LENS_POWER = 1.25, 1.0
-# The pilot's scatter is itself an estimate, of a law with long tails: a label's sum counts as larger by so many of its own
+# A half's scatter is itself an estimate, of a law with long tails: a label's sum counts as larger by so many of its own
 # standard errors, which matters in small labels.
-STANDARD_ERRORS = 2.0
+STANDARD_ERRORS = 1.0
+# As long as a pixel has fewer paths than this, its indirect light's part of the modulation is better known from that of its
+# neighbours: so much of it keeps the fringe.
+KNOWING_PATHS, COHERENT = 16, 0.35
 
 
 @dataclass(frozen=True, eq=False)
 class Pilot:
-    """What the pilot found, images (row, col)."""
+    """What some paths found, images (row, col)."""
 
     label: NDArray[np.uint16]
+    lit: Mask
     scored: Mask
     """Lit pixels whose phase can be measured: those that a target counts."""
     counted: Mask
@@ -59,15 +67,15 @@ class Pilot:
     phasor: Complex
     """Of the projector that measures the pixel, any unit."""
     chip: Complex
-    """The same behind the lens."""
+    """The same behind the lens, as long as it may well be."""
     kernel: Floats | None
     """Of the lens, as `render.point_spread.spread_kernel` has it; None: no blur."""
-    indirect: Floats
-    """White indirect light of that projector, same unit."""
+    indirect: tuple[Floats, Floats]
+    """White indirect light of that projector as `smooth_indirect` has it, same unit."""
     sensor_rad: Floats
     """Noise of the sensor in the phase."""
     path_variance: Floats
-    """Of one path's indirect light across and along the phasor, relative to its square, (2, row, col)."""
+    """Of one path's light across and along the phasor, same unit squared, (2, row, col)."""
     place_variance: Floats
     """Of the direct light of a block of `PILOT_PLACES` places, likewise."""
 
@@ -90,88 +98,127 @@ def pilot_blocks(label: NDArray[np.uint16]) -> Blocks:
 
 def blocks_needed(
     pilot: Pilot, targets: dict[int, float], most_paths: int, indirect: bool, lens: bool
-) -> tuple[Blocks, NDArray[np.uint16]]:
-    """Blocks of every pixel for each label's target, and which label asked for them (row, col).
+) -> Blocks:
+    """First blocks of every pixel on the way to each label's target.
 
     `targets` maps a label's number to a share of the sensor's noise. Labels without a target get `FEWEST_ELSEWHERE` of the
     fewest paths. `indirect`: whether any path leaves the first vertex.
     """
-    shape = pilot.label.shape
-    paths = np.full(shape, 2.0 * FEWEST_ELSEWHERE if indirect else 1.0)
     fewest = np.where(np.isin(pilot.label, list(targets)), FEWEST_BLOCKS, FEWEST_ELSEWHERE)
-    paths = np.maximum(paths, 2.0 * fewest if indirect else 1.0)
+    first = {label: target / np.sqrt(FIRST) for label, target in targets.items()}
+    share, paths = 1.0, np.ones(pilot.label.shape)
+    if indirect:
+        share = DIRECT
+        rest = {label: target * np.sqrt(1.0 - share) for label, target in first.items()}
+        paths = paths_needed(pilot, rest, 2.0 * fewest, most_paths, 0.0)
+    blocks = 2.0 * np.ceil(np.maximum(paths / BLOCK_PATHS, fewest) / 2.0)
+    power = LENS_POWER if lens else PLACES_POWER
     # The contrast of fringes, which neighbours see behind a lens, needs two pairs.
     step = 2 if pilot.kernel is None else 4
-    places = np.full(shape, 2.0)
-    power = LENS_POWER if lens else PLACES_POWER
-    asked_by = pilot.label.copy()
-    light = _smooth_indirect(pilot)
-    allowed: dict[int, float] = {}
-    for label, target in targets.items():
-        inside = pilot.label == label
-        scored, counted = inside & pilot.scored, inside & pilot.counted
-        if not scored.any():
-            continue
-        allowed[label] = (AIMED * target) ** 2 * float((pilot.sensor_rad[scored] ** 2).sum())
-        if indirect:
-            adds = weights(pilot.phasor, pilot.chip, counted, pilot.kernel)
-            shares, without = _shares(light, adds.sum(axis=0), counted)
-            variance = _summed(adds, pilot.path_variance, pilot.phasor)
-            some = without > 0.0
-            need = _sum(variance[some] / without[some])
-            wanted = np.minimum(need / ((1.0 - DIRECT) * allowed[label]) * shares, most_paths)
-            asked_by[wanted > paths] = label
-            paths = np.maximum(paths, wanted)
-            allowed[label] *= DIRECT
-    blocks = 2.0 * np.ceil(np.maximum(paths / BLOCK_PATHS, fewest) / 2.0)
-    for label, most in allowed.items():
-        counted = (pilot.label == label) & pilot.counted
-        adds = weights(pilot.phasor, pilot.chip, counted, pilot.kernel)
-        variance = _summed(adds, pilot.place_variance, pilot.phasor)
-        places = np.maximum(places, _places(variance, blocks, most, power, step))
-    found = Blocks(
+    each = np.ceil(paths / blocks)
+    # Paths from one place share what it sees.
+    places = 2.0 * np.ceil(each / (2.0 * PATHS_OF_PLACE))
+    for label, target in first.items():
+        allowed, adds = _allowed(pilot, label, target)
+        if allowed > 0.0:
+            variance = (adds * np.nan_to_num(pilot.place_variance)).sum(axis=0)
+            places = np.maximum(places, _places(variance, blocks, share * allowed, power, step))
+    return Blocks(
         np.arange(blocks.size, dtype=np.uint32),
         blocks.ravel().astype(np.uint32),
         places.ravel().astype(np.uint32),
-        np.ceil(paths / blocks).ravel().astype(np.uint32),
+        each.ravel().astype(np.uint32),
         np.zeros(blocks.size, np.uint32),
     )
-    return found, asked_by
 
 
-def _summed(adds: Floats, variance: Floats, phasor: Complex) -> Floats:
-    """(row, col) what such a variance of each pixel adds to a label's sum."""
-    found: Floats = (adds * np.nan_to_num(variance)).sum(axis=0) * np.abs(phasor) ** 2
-    return found
+def paths_needed(
+    pilot: Pilot, targets: dict[int, float], have: Floats, most_paths: int, errors: float
+) -> Floats:
+    """(row, col) paths with which each label meets its target: at least those that pixels `have`.
+
+    A label's noise counts as larger by so many standard `errors` of its estimate.
+    """
+    paths = have.astype(np.float64)
+    for label, target in targets.items():
+        allowed, adds = _allowed(pilot, label, target)
+        if allowed <= 0.0:
+            continue
+        inside = pilot.label == label
+        counted = inside & pilot.counted
+        shares, without = _shares(
+            pilot.indirect, adds.sum(axis=0), counted, inside & (pilot.lit | pilot.counted)
+        )
+        variance = (adds * np.nan_to_num(pilot.path_variance)).sum(axis=0)
+        some = variance > 0.0
+        cost = _Cost(variance[some], without[some], have[some], most_paths, errors)
+        paths = np.maximum(paths, np.minimum(cost.scale(allowed) * shares, most_paths))
+    return paths
 
 
-def _sum(variances: Floats) -> float:
-    """What the sum of these estimates may be."""
-    return float(variances.sum() + STANDARD_ERRORS * np.sqrt((variances**2).sum()))
+@dataclass(frozen=True)
+class _Cost:
+    """What a label's paths leave of its noise, (pixel,)."""
+
+    variance: Floats
+    shares: Floats
+    have: Floats
+    most: float
+    errors: float
+
+    def noise(self, scale: float) -> float:
+        """Sum of variances if pixels have `scale` times their shares."""
+        left = self.variance / np.maximum(np.minimum(scale * self.shares, self.most), self.have)
+        return float(left.sum() + self.errors * np.sqrt((left**2).sum()))
+
+    def scale(self, allowed: float) -> float:
+        """The smallest with no more noise than allowed."""
+        if not self.shares.any() or self.noise(0.0) <= allowed:
+            return 0.0
+        low, high = 0.0, self.most / float(self.shares[self.shares > 0.0].min())
+        for _ in range(40):
+            middle = np.sqrt(low * high) if low else high * 1e-6
+            low, high = (middle, high) if self.noise(middle) > allowed else (low, middle)
+            if low and high / low < 1.01:
+                break
+        return high
 
 
-def _smooth_indirect(pilot: Pilot) -> tuple[Floats, Floats]:
-    """(row, col) mean indirect light of a pixel's neighbours of the same label, with and without that of the pixel itself.
+def _allowed(pilot: Pilot, label: int, target: float) -> tuple[float, Floats]:
+    """What a label's sum of phase variances may be, 0 without any pixel, and what those of each pixel add to it."""
+    inside = pilot.label == label
+    scored = inside & pilot.scored
+    if not scored.any():
+        return 0.0, np.zeros((2, *inside.shape))
+    allowed = (AIMED * target) ** 2 * float((pilot.sensor_rad[scored] ** 2).sum())
+    return allowed, weights(pilot.phasor, pilot.chip, inside & pilot.counted, pilot.kernel)
+
+
+def smooth_indirect(light: Floats, label: NDArray[np.uint16]) -> tuple[Floats, Floats]:
+    """(row, col) mean of a pixel's neighbours of the same label, with and without the pixel itself.
 
     The latter is used to find how many paths there must be: a pixel whose pilot met a bright path shows both more light and
     more scatter than it has, and the one must not excuse the other.
     """
-    light, others = np.zeros(pilot.label.shape), np.zeros(pilot.label.shape)
-    for label in np.unique(pilot.label):
-        inside = pilot.label == label
-        seen = np.where(inside, np.maximum(pilot.indirect, 0.0), 0.0)
+    found, others = np.zeros(label.shape), np.zeros(label.shape)
+    for number in np.unique(label):
+        inside = label == number
+        seen = np.where(inside, np.maximum(light, 0.0), 0.0)
         for window in WINDOWS:
             pixels = ndimage.uniform_filter(inside.astype(np.float64), window) * window**2
             whole = ndimage.uniform_filter(seen, window) * window**2
-            light[inside] += (whole / np.maximum(pixels, 1.0))[inside]
+            found[inside] += (whole / np.maximum(pixels, 1.0))[inside]
             others[inside] += ((whole - seen) / np.maximum(pixels - 1.0, 1.0))[inside]
-    return np.maximum(light, 0.0), np.maximum(others, 0.0)
+    return np.maximum(found, 0.0) / len(WINDOWS), np.maximum(others, 0.0) / len(WINDOWS)
 
 
-def _shares(light: tuple[Floats, Floats], adds: Floats, counted: Mask) -> tuple[Floats, Floats]:
+def _shares(
+    light: tuple[Floats, Floats], adds: Floats, counted: Mask, some: Mask
+) -> tuple[Floats, Floats]:
     """(row, col) what a label's paths are in proportion to, by either light; 0 where light adds nothing to its noise.
 
-    `adds` is how much a pixel's variance adds to that of the label.
+    `adds` is how much a pixel's variance adds to that of the label. `some` pixels get some paths in any case: those that
+    seem too dark to be measured may not be.
     """
     found = [np.sqrt(kind * adds) for kind in light]
     mean = float(found[0][counted].mean())
@@ -179,7 +226,7 @@ def _shares(light: tuple[Floats, Floats], adds: Floats, counted: Mask) -> tuple[
         # A label without any indirect light has no need.
         return counted.astype(np.float64), counted.astype(np.float64)
     low = FLOOR * mean * np.minimum(np.sqrt(adds / adds[counted].mean()), 1.0)
-    low[counted] = FLOOR * mean
+    low[some] = FLOOR * mean
     shares, without = (np.clip(kind, low, CEILING * mean) for kind in found)
     return shares, without
 
@@ -192,7 +239,6 @@ def _places(variance: Floats, blocks: Floats, allowed: float, power: float, step
     # Edges run on from pixel to pixel; two blocks alone may both have missed one.
     variance = np.where(variance > 0.0, ndimage.uniform_filter(variance, 3), 0.0)
     variance *= PILOT_PLACES**power / blocks
-    allowed *= float(variance.sum()) / max(_sum(variance), 1e-300)
     weight = variance / blocks
     # Edges that matter a million times less than the worst take no part.
     weight = np.where(weight > 1e-6 * weight.max(), weight, 0.0)

@@ -1,4 +1,4 @@
-"""What each pixel's centre sees, and which projectors light it."""
+"""What each pixel's centre sees, and whether a projector lights it."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from render.plugins.lens import Optics
+from render.plugins.projector_light import Light
 from render.plugins.screen_light import Lights
 from render.plugins.variant import dr, mi
 
@@ -29,14 +30,26 @@ def label_map(
 
 
 def lit(mi_scene: Any, camera: Optics, lights: Lights, shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """Whether a projector's light reaches the camera from each pixel's centre, (row, col)."""
-    si = mi_scene.ray_intersect(_rays(camera, shape), mi.RayFlags.All, True)
+    """Whether a light reaches what each pixel's centre sees, on the side that the camera sees, (row, col).
+
+    By the triangles, as `render.truth` has it: shading that is smooth leaves some of them dark. A screen's light is mirrored,
+    so it must reach the camera.
+    """
+    ray = _rays(camera, shape)
+    si = mi_scene.ray_intersect(ray, mi.RayFlags.All, True)
+    middle = mi.Point2f(MIDDLE)
     found = np.zeros(shape, np.bool_)
     for light in lights:
-        for radiance, _, _ in light.arrive(
-            mi_scene, si, lambda _: mi.Point2f(MIDDLE), si.is_valid()
-        ):
-            found |= (radiance > 0).numpy().reshape(shape)
+        if isinstance(light, Light):
+            source, _, _, reached = light.connect(si.p, middle)
+            facing = dr.dot(si.n, source - si.p) * dr.dot(si.n, -ray.d) > 0
+            reached &= si.is_valid() & facing
+            lit = [reached & ~mi_scene.ray_test(si.spawn_ray_to(source), reached)]
+        else:
+            arrived = light.arrive(mi_scene, si, lambda _: middle, si.is_valid())
+            lit = [radiance > 0 for radiance, _, _ in arrived]
+        for one in lit:
+            found |= one.numpy().reshape(shape)
     return found
 
 

@@ -1,46 +1,31 @@
 """Light traced until the noise of its paths is below a share of the sensor's, in each label.
 
-A pilot of few paths finds what each pixel needs (`render.pathtracer.path_budget`) and is thrown away; then that many are
-traced, in independent blocks, whose scatter says what was reached. The pilot knows long tails badly, so labels for which it
-promised too much are traced some more. Stopping where the noise looks small would bias the light: bright paths are rare, so
-light that has met none looks both dark and quiet. Therefore blocks are traced in two halves, and the noise of one half decides
-how many more blocks the other gets. What decides is never averaged with what it decides; the mean of both halves has no bias.
+A pilot of few paths finds what each pixel needs (`render.pathtracer.path_budget`) and is thrown away; then half as many are
+traced, in independent blocks, whose scatter says how many more are needed, pixel by pixel. Stopping where the noise looks
+small would bias the light: bright paths are rare, so light that has met none looks both dark and quiet. Therefore blocks are
+traced in two halves, and one half decides how many more blocks the other gets. What decides is never averaged with what it
+decides; the mean of both halves has no bias.
 """
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from render.fringe_phasor import FinestFringe, finest_fringes, white_weights
-from render.light_noise import (
-    SensorNoise,
-    chosen,
-    on_chip,
-    render_to_sensor_noise,
-    sensor_noise,
-    through,
-)
-from render.pathtracer.block_light import (
-    BlockLight,
-    Blocks,
-    add,
-    phasor_variance,
-    scatter_about_direct,
-    trace_blocks,
-)
+from render.fringe_phasor import FinestFringe, finest_fringes
+from render.light_noise import render_to_sensor_noise
+from render.pathtracer.block_light import BlockLight, Blocks, add, phasor_variance, trace_blocks
 from render.pathtracer.cut_light import cut_to_sensor_noise
 from render.pathtracer.one_pass import check, require_finite, set_up
-from render.pathtracer.path_budget import PILOT_PATHS, Pilot, blocks_needed, pilot_blocks
+from render.pathtracer.path_budget import blocks_needed, pilot_blocks
 from render.pathtracer.path_kernel import DEEPEST_CUT, Pass
+from render.pathtracer.pilot import first_pilot, mean_images, more_of_halves
 from render.pathtracer.pixel_centres import label_map, lit
 from render.pathtracer.tile_survey import TileGrid
 from render.plugins.shared_surfaces import Surfaces, shared
 from render.plugins.variant import use
-from render.point_spread import spread_kernel
 from render.transport import RenderNoise, Transport
 from scenes.acquisition.pattern_basis import Basis, basis
 from scenes.scene import Scene
@@ -54,14 +39,8 @@ Floats = NDArray[np.float64]
 SURVEY_SAMPLES = 64
 # Streams of the pilot: what decides is not what is averaged.
 PILOT_STREAM = 0x517CC1B7
-# The pilot knows a pixel's modulation only roughly: what misses the decoder's limits by so much may still be decoded.
-SLACK = 2.0
-# Where the pilot promised too much, how much more is traced than the scatter asks for.
-MORE = 1.1
-# Fraction of the golden ratio: rounds fractions of blocks up in so many pixels as the fraction says, evenly spread.
-GOLDEN = 0.6180339887498949
 # Shares of the work, for progress.
-PILOT_SHARE = 0.05
+PILOT_SHARE, FIRST_SHARE = 0.05, 0.5
 # Bytes for each pixel and projector in addition to the images: budgets, scatters and one chunk of lanes.
 PIXEL_BYTES = 300
 
@@ -139,26 +118,15 @@ def _traced(
         return found
 
     def transport(found: BlockLight, paths: int) -> Transport:
-        shape = (height, width)
-
-        def image(values: NDArray[np.float32]) -> NDArray[np.float32]:
-            """(..., row, col) of values (..., entry): the mean of halves."""
-            halves = values.shape[-1] // label.size
-            images: NDArray[np.float32] = values.reshape(*values.shape[:-1], *shape, halves).mean(
-                -1
-            )
-            return images
-
+        per_pixel = max(round(paths / label.size), 1)
         return Transport(
-            image(found.total),
-            image(found.direct),
-            image(found.ambient),
+            *mean_images(found, label.shape),
             label,
             scene.labels,
             bases,
             scene,
             seed,
-            max(round(paths / label.size), 1),
+            per_pixel,
             pass_.depth,
             identity=identity(scene),
         )
@@ -168,35 +136,32 @@ def _traced(
     first = pilot_blocks(label)
     quick = light(first, seed ^ PILOT_STREAM, done(0.0, PILOT_SHARE), direct=True)
     rough = transport(quick, first.total_paths)
-    pilot, sensor = _pilot(rough, scatter_about_direct(quick, first.number), lit_px)
+    pilot, sensor = first_pilot(quick, first, rough, lit_px)
     # Direct light alone is a choice; deeper paths end by chance, which cuts nothing.
     cut: Mapping[int, float] = {}
     if 1 < pass_.depth < DEEPEST_CUT:
         deep = replace(pass_, depth=DEEPEST_CUT)
         again = trace_blocks(deep, width, first, channels, fringes, seed ^ PILOT_STREAM)
         cut = cut_to_sensor_noise(quick, again, first, pilot, sensor)
-    del quick
-    blocks, asked_by = blocks_needed(pilot, targets, most, indirect, pass_.lens)
-    blocks = blocks.halved()
-    final = light(blocks, seed, done(PILOT_SHARE, 0.9 - PILOT_SHARE))
+    del quick, rough
+    blocks = blocks_needed(pilot, targets, most, indirect, pass_.lens).halved()
+    final = light(blocks, seed, done(PILOT_SHARE, FIRST_SHARE))
     number, paths = blocks.number, blocks.total_paths
     traced = [(np.repeat(np.arange(number.size), number), final.phasor[0])]
-    known = (len(fringes), len(bases), height, width)
-    noise = [np.sqrt(v).reshape(*known, 2) for v in phasor_variance(traced, number, 1)]
-    halves = [
-        chosen(on_chip(_with_noise(rough, [part[..., half] for part in noise])), sensor) ** 2
-        for half in (0, 1)
-    ]
-    del rough
-    entry, more = _more(blocks, asked_by, _excess(halves, pilot, targets), most)
+    more = more_of_halves(
+        final, phasor_variance(traced, number, 1), blocks, targets, most, lit_px, transport
+    )
+    entry = np.flatnonzero(more)
+    more = more[entry]
     if entry.size:
         extra = blocks.more(entry, more)
-        new = light(extra, seed, None)
+        new = light(extra, seed, done(PILOT_SHARE + FIRST_SHARE, 1.0 - PILOT_SHARE - FIRST_SHARE))
         number, paths = add(final, number, new, more, entry), paths + extra.total_paths
         traced.append((np.repeat(entry, more), new.phasor[0]))
         del new
-    noise = [np.sqrt(v).reshape(known) for v in phasor_variance(traced, number, 2)]
-    result = _with_noise(transport(final, paths), noise)
+    known = (len(fringes), len(bases), height, width)
+    phase, amplitude = (np.sqrt(v).reshape(known) for v in phasor_variance(traced, number, 2))
+    result = replace(transport(final, paths), noise_rad=phase, amplitude_noise=amplitude)
     ratios = render_to_sensor_noise(result, lit_px)
     reached = RenderNoise(
         target,
@@ -207,90 +172,6 @@ def _traced(
     if not reached.met:
         warnings.warn(_unmet(reached, most), FringebenchWarning, stacklevel=4)
     return replace(result, render_noise=reached)
-
-
-def _with_noise(transport: Transport, noise: Sequence[NDArray[np.float32]]) -> Transport:
-    phase, amplitude = noise
-    return replace(transport, noise_rad=phase, amplitude_noise=amplitude)
-
-
-def _excess(halves: Sequence[Floats], pilot: Pilot, targets: dict[int, float]) -> Floats:
-    """Variance of each half over what its label may have, (label, half); 0 where nothing is known.
-
-    What a pixel's sensor adds is taken from the pilot, which neither half is part of.
-    """
-    excess = np.zeros((int(pilot.label.max()) + 1, 2))
-    for label, target in targets.items():
-        for half, variance in enumerate(halves):
-            at = pilot.scored & (pilot.label == label) & np.isfinite(variance)
-            if at.any():
-                # The mean of both halves has half the variance.
-                mean = variance[at].mean() / 2.0
-                excess[label, half] = mean / (target**2 * np.mean(pilot.sensor_rad[at] ** 2))
-    return excess
-
-
-def _more(
-    blocks: Blocks, asked_by: NDArray[np.uint16], excess: Floats, most_paths: int
-) -> tuple[NDArray[np.intp], NDArray[np.uint32]]:
-    """Entries that get more blocks, and how many: each half as the other half's noise asks for."""
-    other = excess[asked_by.ravel()[blocks.pixel], 1 - np.arange(blocks.pixel.size) % 2]
-    wanted = blocks.number * np.where(other > 1.0, MORE * other - 1.0, 0.0)
-    wanted = np.floor(wanted + GOLDEN * blocks.pixel % 1.0)
-    room = most_paths // (2 * blocks.paths) - blocks.number.astype(np.int64)
-    more = np.clip(wanted, 0, np.maximum(room, 0)).astype(np.uint32)
-    entry = np.flatnonzero(more)
-    return entry, more[entry]
-
-
-def _pilot(
-    transport: Transport, varies: Floats, lit: NDArray[np.bool_]
-) -> tuple[Pilot, SensorNoise]:
-    """What the pilot says of the projector and the axis that measure each pixel, and which they are."""
-    strict, sensor = sensor_noise(transport), sensor_noise(transport, SLACK)
-    assert strict is not None  # there is a fringe
-    assert sensor is not None
-    shape = transport.label.shape
-    fringes = finest_fringes(transport.scene.patterns, transport.bases)
-    phasor, indirect = [], []
-    for p, b in enumerate(transport.bases):
-        channels = slice(len(b.channels))
-        fringe = fringes[sensor.fringe[p]]
-        # Few paths know direct light well; half of all light serves where there is hardly any.
-        own, all_light = (
-            cosine + 1j * sine
-            for light in (transport.direct, transport.total)
-            for cosine, sine in (fringe.phasor(light[p, channels], p),)
-        )
-        phasor.append(np.where(np.abs(own) >= np.abs(all_light) / 2.0, own, all_light / 2.0))
-        white = white_weights(b)
-        indirect.append(
-            np.tensordot(white, transport.total[p, channels] - transport.direct[p, channels], 1)
-        )
-
-    def pick(images: list[NDArray[Any]]) -> NDArray[Any]:
-        return np.asarray(np.take_along_axis(np.stack(images), sensor.projector[None], axis=0)[0])
-
-    direct, later = (
-        np.stack([chosen(way.reshape(*way.shape[:2], *shape), sensor) for way in part])
-        for part in varies
-    )
-    counted = lit & np.isfinite(sensor.phase_rad) & np.isfinite(direct[0] + later[0])
-    kernel = spread_kernel(transport.scene.sensor)
-    sharp: NDArray[np.complex128] = pick(phasor)
-    pilot = Pilot(
-        transport.label,
-        counted & np.isfinite(strict.phase_rad),
-        counted,
-        sharp,
-        sharp if kernel is None else through(sharp, kernel),
-        kernel,
-        pick(indirect).astype(np.float64),
-        sensor.phase_rad,
-        later * PILOT_PATHS,
-        direct,
-    )
-    return pilot, sensor
 
 
 def _unmet(noise: RenderNoise, most: int) -> str:

@@ -13,7 +13,16 @@ from render.light_noise import SensorNoise
 from render.pathtracer import block_light
 from render.pathtracer.block_light import BlockLight, Blocks
 from render.pathtracer.cut_light import cut_to_sensor_noise
-from render.pathtracer.path_budget import AIMED, PILOT_PLACES, Pilot, blocks_needed
+from render.pathtracer.path_budget import (
+    AIMED,
+    BLOCK_PATHS,
+    DIRECT,
+    FIRST,
+    PILOT_PLACES,
+    Pilot,
+    blocks_needed,
+    paths_needed,
+)
 from scenes.support.errors import RenderError, SceneError
 from tests.render import rigs
 
@@ -102,9 +111,10 @@ def test_cut_light_is_the_mean_turn_of_phase_and_not_its_noise() -> None:
     count = np.full(800, number, np.uint32)
     own = z.reshape(shape)
     label = np.where(left, 1, 2) * np.ones(shape, np.uint16)
+    none_at_all = np.zeros(shape)
     pilot = Pilot(
-        label.astype(np.uint16), every, every, own, own, None, np.zeros(shape), np.full(shape, 0.2),
-        np.zeros((2, *shape)), np.zeros((2, *shape)),
+        label.astype(np.uint16), every, every, every, own, own, None, (none_at_all, none_at_all),
+        np.full(shape, 0.2), np.zeros((2, *shape)), np.zeros((2, *shape)),
     )  # fmt: skip
     sensor = SensorNoise(pilot.sensor_rad, np.zeros(shape, np.intp), (0,))
     found = cut_to_sensor_noise(
@@ -165,21 +175,30 @@ def test_paths_meet_the_target_with_minimum_work_when_variances_are_known() -> N
         np.ones(shape, np.uint16),
         every,
         every,
+        every,
         modulation.astype(np.complex128),
         modulation.astype(np.complex128),
         None,
-        light,
+        (light, light),
         0.01 / modulation,
-        np.stack([0.5 / modulation**2] * 2),
+        np.full((2, *shape), 0.5),
         np.zeros((2, *shape)),
     )
-    blocks, asked_by = blocks_needed(pilot, {1: 1.0 / AIMED}, 1 << 20, indirect=True, lens=False)
-    assert (asked_by == 1).all()
-    paths = (blocks.number * blocks.paths).reshape(shape)
-    assert paths[0, 30] / paths[0, 10] == pytest.approx(10.0, rel=0.02)
-    variance = (pilot.path_variance[0] / paths).sum() / (pilot.sensor_rad**2).sum()
-    # Just below what is left for indirect light (85 %): 800 equal estimates are known to 2 / sqrt(800) = 7 %, counted on top.
-    assert 0.85 / 1.1 < variance < 0.85
+    targets = {1: 1.0 / AIMED}
+    paths = paths_needed(pilot, targets, np.ones(shape), 1 << 20, errors=0.0)
+    assert paths[0, 30] / paths[0, 10] == pytest.approx(10.0, rel=1e-6)
+    variance = (0.5 / modulation**2 / paths).sum() / (pilot.sensor_rad**2).sum()
+    assert 0.98 < variance <= 1.0
+    # What dark pixels have too many of already, bright ones need not have: most of the dark ones' noise is gone.
+    have = np.where(modulation < 1.0, 4.0 * paths, 1.0)
+    fewer = paths_needed(pilot, targets, have, 1 << 20, errors=0.0)
+    assert (fewer >= have).all()
+    assert (fewer[:, :20] < paths[:, :20]).all()
+    blocks = blocks_needed(pilot, targets, 1 << 20, indirect=True, lens=False)
+    first = (blocks.number * blocks.paths).reshape(shape)
+    # A share FIRST of what is needed if direct light has its part, known to 1 %, and up to two blocks more.
+    least = FIRST / (1.0 - DIRECT) * paths[0, 30]
+    assert 0.99 * least <= first[0, 30] <= 1.01 * least + 2 * BLOCK_PATHS
     assert (blocks.places % 2 == 0).all()
     assert PILOT_PLACES % 2 == 0
 
