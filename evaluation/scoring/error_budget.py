@@ -18,6 +18,9 @@ RENDER_NOISE = "render-noise"
 Mask = NDArray[np.bool_]
 Causes = frozenset[str]
 """Which causes are switched on."""
+# A cause that exists only with another is measured together with it, and compared with that alone: a point would see the
+# sharp squares that every pixel of a camera averages.
+TOGETHER = {"projector-pixels": "footprint"}
 
 
 @dataclass(frozen=True)
@@ -25,7 +28,7 @@ class CauseShare:
     """What one cause does in one region."""
 
     alone_mm2: float | None
-    """Mean square error with only this cause on, minus that with none."""
+    """Mean square error with only this cause on (and the one it needs, `TOGETHER`), minus that without it."""
     removed_mm2: float | None
     """Mean square error with all causes on, minus that of all but this one; negative where the cause reduces the error."""
     bias_alone_mm: float | None
@@ -76,8 +79,13 @@ def variants(causes: Sequence[str]) -> list[Causes]:
     [['blur', 'noise'], [], ['noise'], ['blur']]
     """
     every = frozenset(causes)
-    found = [every, frozenset(), *(every - {c} for c in causes), *(frozenset({c}) for c in causes)]
-    return list(dict.fromkeys(found))
+    alone = [_needed(c, causes) | {c} for c in causes]
+    return list(dict.fromkeys([every, frozenset(), *(every - {c} for c in causes), *alone]))
+
+
+def _needed(cause: str, causes: Sequence[str]) -> Causes:
+    """What is on when a cause is measured alone."""
+    return frozenset(c for c in causes if c == TOGETHER.get(cause))
 
 
 def budget(
@@ -146,21 +154,23 @@ def _region(
     def change(of: dict[Causes, float] | None, on: Causes, off: Causes) -> float | None:
         return None if of is None else of[on] - of[off]
 
-    shares = {
-        cause: CauseShare(
-            change(square, frozenset({cause}), none),
+    shares = {}
+    for cause in causes:
+        without = _needed(cause, causes)
+        alone = without | {cause}
+        shares[cause] = CauseShare(
+            change(square, alone, without),
             change(square, every, every - {cause}),
-            change(bias, frozenset({cause}), none),
+            change(bias, alone, without),
             change(bias, every, every - {cause}),
-            covered[frozenset({cause})] - covered[none],
+            covered[alone] - covered[without],
             covered[every] - covered[every - {cause}],
         )
-        for cause in causes
-    }
     interaction = None
     if square is not None:
-        alone = sum(square[frozenset({cause})] - square[none] for cause in causes)
-        interaction = square[every] - square[none] - alone
+        interaction = (
+            square[every] - square[none] - sum(s.alone_mm2 or 0.0 for s in shares.values())
+        )
     return RegionBudget(
         int(region.sum()),
         int(common.sum()),

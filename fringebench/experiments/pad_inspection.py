@@ -1,9 +1,10 @@
 """Paste inspection of a scene: pads against the truth, an error budget and a gauge study."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import decode
 import render
@@ -18,6 +19,7 @@ from evaluation.inspection.pad_limits import (
 )
 from evaluation.inspection.pad_measurement import THRESHOLD_MM, PadMeasure, measure_pads
 from evaluation.inspection.repeatability import GaugeStudy, gauge_study
+from evaluation.scoring.error_budget import RENDER_NOISE
 from fringebench.experiments.cause_budget import CAUSES, RANDOM, has_cause, without_causes
 from fringebench.progress import Steps
 from scenes.acquisition.sensor import without_blur
@@ -114,7 +116,8 @@ def pad_budget(
     ``ideal``: every surface diffuse and equally bright, direct light alone, no noise, all projectors, a threshold of
     2 um; what is left is the rig's own, pixels and shadows. Then one at a time: ``one projector`` (where the scene has
     more), ``metal`` (the board's real materials), ``grains``, ``interreflection``, ``noise``, ``threshold`` (40 um), and those causes of `budget` that are of
-    `DEVICES` and that the scene has; ``metal, interreflection`` together, which do what neither does alone: metal throws light onto its neighbours; and
+    `DEVICES` and that the scene has; ``render-noise``, drawn for each pixel with the deviation that the light of ``all`` states; ``metal,
+    interreflection`` together, which do what neither does alone: metal throws light onto its neighbours; and
     ``all`` of them but the single projector. The deposits are the same throughout, and so is their truth.
 
     Raises `SceneError` for a scene without a board, `ScoreError` where it has no pad of 0.3 mm.
@@ -124,9 +127,11 @@ def pad_budget(
     depth = scene.sampling.depth
     lights: dict[frozenset[str], render.Transport] = {}
 
-    def errors(*causes: str) -> PadErrors:
+    optics = frozenset({"metal", "grains", "interreflection", *DEVICES}) - {"psf"}
+
+    def errors(*causes: str, scatter_mm: NDArray[np.float32] | None = None) -> PadErrors:
         on = frozenset(causes)
-        optical = on & {"metal", "grains", "interreflection", *DEVICES} - {"psf"}
+        optical = on & optics
         variant = _variant(without_causes(scene, frozenset(DEVICES) - on), optical, depth)
         if optical not in lights:
             with steps.step("trace light: " + (", ".join(sorted(optical)) or "ideal")) as done:
@@ -142,6 +147,10 @@ def pad_budget(
             )
             single = {"projector": 0} if "one projector" in on else {}
             rec = decode.reconstruct(stack, **(choices | single))
+            if scatter_mm is not None:
+                drawn = np.random.default_rng(seed).standard_normal(scatter_mm.shape)
+                height = rec.height_mm + drawn * np.nan_to_num(scatter_mm)
+                rec = replace(rec, height_mm=height.astype(np.float32))
             threshold = THRESHOLD_MM if "threshold" in on else FAINT_MM
             board = scenes.board_truth(variant)
             return pad_errors(measure_pads(rec, board, threshold_mm=threshold), board, SMALL_MM)
@@ -152,8 +161,12 @@ def pad_budget(
     if len(scene.projectors) > 1:
         rows["one projector"] = errors("one projector")
     rows |= {cause: errors(cause) for cause in causes}
-    rows["metal, interreflection"] = errors("metal", "interreflection")
-    return rows | {"all": errors(*causes)}
+    together, everything = errors("metal", "interreflection"), errors(*causes)
+    light = lights[frozenset(causes) & optics]
+    scatter_mm = render.truth(light.scene, light).render_noise_mm
+    if scatter_mm is not None:
+        rows[RENDER_NOISE] = errors(scatter_mm=scatter_mm)
+    return rows | {"metal, interreflection": together, "all": everything}
 
 
 def gauge(

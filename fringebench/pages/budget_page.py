@@ -36,7 +36,7 @@ def budget_report(
                     ),
                     Paragraph(
                         "Mean square errors of independent causes add up; the remainder is the interaction. Alone: with this "
-                        "cause only. Removed: the decrease without this cause, negative if the error grows. Valid: change of "
+                        "cause only (squares of a projector: with a pixel's footprint). Removed: the decrease without this cause, negative if the error grows. Valid: change of "
                         "the share of measured pixels." + absent
                     ),
                     grid(table, totals),

@@ -84,6 +84,7 @@ def pads(
         artwork = scenes.load(board, overrides)
         _capture(source, artwork, output, threshold_um, as_json)
         return
+    from evaluation.scoring.error_budget import RENDER_NOISE
     from fringebench.experiments.pad_inspection import DEVICES, inspect, inspect_stack, pad_budget
     from fringebench.experiments.pad_inspection import gauge as study
 
@@ -113,7 +114,7 @@ def pads(
     if budget:
         rows = pad_budget(loaded, seed, steps)
         answer["budget"] = {name: asdict(errors) for name, errors in rows.items()}
-        answer["absent"] = [cause for cause in DEVICES if cause not in rows]
+        answer["absent"] = [cause for cause in (*DEVICES, RENDER_NOISE) if cause not in rows]
         title = "one cause at a time, pads of 0.3 mm and more; absent: " + ", ".join(
             answer["absent"]
         )

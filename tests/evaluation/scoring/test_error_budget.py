@@ -54,3 +54,13 @@ def test_missing_variant_is_named() -> None:
     made = {v: errors_of(v) for v in variants(CAUSES)[:-1]}
     with pytest.raises(ScoreError, match="tilt"):
         budget("s", CAUSES, made, {})
+
+
+def test_squares_of_a_projector_are_measured_as_pixels_of_a_camera_see_them() -> None:
+    causes = ("footprint", "projector-pixels")
+    # Points would see 5 of the squares, pixels, with their own 2, see 1 (RMS).
+    squares = {(): 0.0, causes[:1]: 2.0, causes[1:]: 5.0, causes: np.sqrt(5.0)}
+    made = {frozenset(v): np.full((1, *SHAPE), rms) for v, rms in squares.items()}
+    found = budget("s", causes, made, {"all": np.ones(SHAPE, bool)}).regions["all"]
+    assert found.causes["projector-pixels"].alone_mm2 == pytest.approx(1.0)
+    assert found.interaction_mm2 == pytest.approx(0.0)
