@@ -41,9 +41,4 @@ class BrightestUnsaturated(FusionRule):
 
     def fuse(self, samples: Samples) -> Phasor:
         """The chosen exposures' phasors; the shortest exposure's where all are saturated."""
-        shortest, *longer = samples.by_time
-        best = samples.phasor(shortest)
-        for exposure in longer:
-            other = samples.phasor(exposure)
-            best = samples.select(other.usable, other, best)
-        return best
+        return samples.best(map(samples.phasor, samples.by_time), lambda longer, _: longer.usable)

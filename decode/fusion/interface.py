@@ -5,7 +5,7 @@ finds rules by name.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, Self
@@ -197,6 +197,13 @@ class Samples:
             }
         )
 
+    def best(self, choices: Iterable[Phasor], better: Callable[[Phasor, Phasor], Lanes]) -> Phasor:
+        """Per pixel the first of several phasors, or a later one where ``better(later, best before it)``."""
+        best, *others = choices
+        for other in others:
+            best = self.select(better(other, best), other, best)
+        return best
+
 
 class FusionRule(ABC):
     """How several exposures of a pixel become one phase."""
@@ -266,13 +273,12 @@ class MaxModulation(FusionRule):
 
     def fuse(self, samples: Samples) -> Phasor:
         """The best usable exposure's phasor; the shortest exposure's where all are saturated."""
-        shortest, *longer = samples.by_time
-        best = samples.phasor(shortest)
-        for exposure in longer:
-            other = samples.phasor(exposure)
-            better = other.usable & (~best.usable | (_power(other) > _power(best)))
-            best = samples.select(better, other, best)
-        return best
+        return samples.best(map(samples.phasor, samples.by_time), stronger)
+
+
+def stronger(one: Phasor, other: Phasor) -> Lanes:
+    """Where the first of two phasors is usable, and the second is not or has less modulation."""
+    return one.usable & (~other.usable | (_power(one) > _power(other)))
 
 
 def _power(phasor: Phasor) -> Lanes:

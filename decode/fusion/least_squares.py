@@ -36,7 +36,8 @@ class WeightedLeastSquares(FusionRule):
         masks = self.mask(samples)
         found = fitted(samples, masks)
         phasor = phasor_of(samples, found, masks)
-        return samples.select(found.determined, phasor, not_usable(samples))
+        shortest = samples.phasor(samples.by_time[0])
+        return samples.select(found.determined, phasor, shortest)
 
 
 @dataclass(frozen=True)
@@ -164,8 +165,3 @@ def phasor_of(samples: Samples, found: Solution, masks: list[list[Lanes]]) -> Ph
         usable=found.determined,
         exposure=types.UInt32(MERGED),
     )
-
-
-def not_usable(samples: Samples) -> Phasor:
-    """The shortest exposure's phasor, for pixels in which nothing better is left."""
-    return samples.phasor(samples.by_time[0])

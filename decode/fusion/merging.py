@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 from decode.device import Lanes
-from decode.fusion.interface import MERGED, FusionRule, Samples
+from decode.fusion.interface import MERGED, FusionRule, Samples, stronger
 from decode.phase.n_step import Phasor, variance_rad2
 from scenes.support.errors import DecodeError
 
@@ -97,24 +97,22 @@ class MaxModulationOfRepeats(FusionRule):
 
     def fuse(self, samples: Samples) -> Phasor:
         """Among the times with an unsaturated picture, the one with the largest modulation."""
-        best: Phasor | None = None
-        for time_ms in sorted(set(samples.exposure_ms)):
-            same = [k for k, other in enumerate(samples.exposure_ms) if other == time_ms]
-            one = replace(
-                samples,
-                dn=tuple(samples.dn[k] for k in same),
-                exposure_ms=(time_ms,) * len(same),
-                noise=tuple(samples.noise[k] for k in same),
-            )
-            found = PhasorSum().fuse(one)
-            if best is None:
-                best = found
-                continue
-            power, least = (p.cosine * p.cosine + p.sine * p.sine for p in (found, best))
-            better = found.usable & (~best.usable | (power > least))
-            best = samples.select(better, found, best)
-        assert best is not None  # A stack has an exposure.
-        return best
+        return samples.best(
+            (_of_time(samples, time_ms) for time_ms in sorted(set(samples.exposure_ms))), stronger
+        )
+
+
+def _of_time(samples: Samples, time_ms: float) -> Phasor:
+    """`PhasorSum` of the pictures of one exposure time."""
+    same = [k for k, other in enumerate(samples.exposure_ms) if other == time_ms]
+    return PhasorSum().fuse(
+        replace(
+            samples,
+            dn=tuple(samples.dn[k] for k in same),
+            exposure_ms=(time_ms,) * len(same),
+            noise=tuple(samples.noise[k] for k in same),
+        )
+    )
 
 
 def _summed(samples: Samples) -> tuple[Phasor, Lanes, Lanes]:

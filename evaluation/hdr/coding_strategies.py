@@ -50,14 +50,7 @@ def _n_step(base: PhaseShift, field_px: float) -> OnePatterns:
 
 
 def _heterodyne(base: PhaseShift, field_px: float) -> OnePatterns:
-    return _fringes(base, HETERODYNE)
-
-
-def _fringes(
-    base: PhaseShift, relative: tuple[float, ...], gray: GrayBits | None = None
-) -> PhaseShift:
-    periods = _scaled(base, relative)
-    return base.model_copy(update={"periods_px": periods, "gray": gray})
+    return base.model_copy(update={"periods_px": _scaled(base, HETERODYNE), "gray": None})
 
 
 def _scaled(base: PhaseShift, relative: tuple[float, ...]) -> tuple[float, ...]:
@@ -65,31 +58,34 @@ def _scaled(base: PhaseShift, relative: tuple[float, ...]) -> tuple[float, ...]:
 
 
 def _gray(base: PhaseShift, field_px: float) -> OnePatterns:
-    cell = min(base.periods_px) / 2.0
-    return _fringes(base, (NOMINAL_PX,), GrayBits(bits=ceil(log2(field_px / cell)), cell_px=cell))
+    return _with_code(base, field_px, cells=2, xor=False)
 
 
 def _xor_gray(base: PhaseShift, field_px: float) -> OnePatterns:
     # The last bit's stripes have four cells a period: as fine as the fringes.
-    cell = min(base.periods_px) / 4.0
-    bits = ceil(log2(field_px / cell))
-    return _fringes(base, (NOMINAL_PX,), GrayBits(bits=bits, cell_px=cell, xor=True))
+    return _with_code(base, field_px, cells=4, xor=True)
+
+
+def _with_code(base: PhaseShift, field_px: float, cells: int, xor: bool) -> OnePatterns:
+    """The finest fringes, and a code of so many cells a fringe."""
+    fine = min(base.periods_px)
+    code = GrayBits(bits=ceil(log2(field_px * cells / fine)), cell_px=fine / cells, xor=xor)
+    return base.model_copy(update={"periods_px": (fine,), "gray": code})
 
 
 def _micro(base: PhaseShift, field_px: float) -> OnePatterns:
-    steps = (3,) + (1,) * (len(MICRO) - 1)
-    periods = _scaled(base, MICRO)
-    return UnevenSteps(periods_px=periods, steps=steps, axes=base.axes, amplitude=base.amplitude)
+    return _uneven(base, _scaled(base, MICRO), (3,) + (1,) * (len(MICRO) - 1))
 
 
 def _embedded(base: PhaseShift, field_px: float) -> OnePatterns:
     fine = min(base.periods_px)
     # The beats with the finest fringe are as wide as the field, and its geometric mean with the fringe.
     beats = (field_px, (field_px * fine) ** 0.5)
-    periods = (fine, *(1.0 / (1.0 / fine - 1.0 / beat) for beat in beats))
-    return UnevenSteps(
-        periods_px=periods, steps=(3, 2, 2), axes=base.axes, amplitude=base.amplitude
-    )
+    return _uneven(base, (fine, *(1.0 / (1.0 / fine - 1.0 / beat) for beat in beats)), (3, 2, 2))
+
+
+def _uneven(base: PhaseShift, periods: tuple[float, ...], steps: tuple[int, ...]) -> OnePatterns:
+    return UnevenSteps(periods_px=periods, steps=steps, axes=base.axes, amplitude=base.amplitude)
 
 
 def _modulated(base: PhaseShift, field_px: float) -> OnePatterns:
