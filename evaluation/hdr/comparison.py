@@ -12,7 +12,7 @@ from decode import Reconstruction
 from decode.phase import wrap
 from evaluation.scoring.regions import region_scores, scored
 from evaluation.scoring.score_result import RegionScore
-from evaluation.theory.cramer_rao import CONFIDENCE, FringeLight, efficiency
+from evaluation.theory.cramer_rao import CONFIDENCE, Efficiency, FringeLight, efficiency
 from scenes.files.truth_maps import Truth
 
 FIGURES = (
@@ -36,6 +36,13 @@ class MeanInterval:
 
     value: float
     half_width: float | None
+
+    @classmethod
+    def of_efficiency(cls, found: Efficiency | None) -> "MeanInterval | None":
+        """An efficiency; one pixel leaves its interval open, a decoder without scatter the efficiency itself."""
+        if found is None or not np.isfinite(found.value):
+            return None
+        return cls(found.value, found.half_width if found.pixels > 1 else None)
 
     @classmethod
     def of(cls, repeats: Sequence[float]) -> "MeanInterval":
@@ -150,7 +157,7 @@ def _region(
     return StrategyRegion(
         pixels=scores[0].pixels,
         figures=figures,
-        efficiency=None if reached is None else MeanInterval(reached.value, reached.half_width),
+        efficiency=MeanInterval.of_efficiency(reached),
         phase_bias_rad=None if reached is None else reached.bias_rad,
         systematic_mm=systematic,
         sigma_ratio=ratio,

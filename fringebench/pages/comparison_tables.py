@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
@@ -165,13 +166,16 @@ def pareto_figure(result: StrategyComparison) -> Figure:
             if (rms := _figure(e, label, "rms_mm")) is not None:
                 lines.setdefault(e.name, []).append((e.cycle_ms, rms.value * UM_PER_MM))
         for i, (name, points) in enumerate(lines.items()):
-            axes.plot(
-                *zip(*points, strict=True), ".-", color=f"C{i % 10}", label=name, linewidth=0.8
-            )
+            # Ten colours, then the same with dashes.
+            style = {"color": f"C{i % 10}", "linestyle": ("-", "--", ":")[i // 10 % 3]}
+            axes.plot(*zip(*points, strict=True), marker=".", label=name, linewidth=0.8, **style)
         best = [(e.cycle_ms, np.mean(e.regions[label].rms_mm) * UM_PER_MM) for e in front]
         if best:
             axes.plot(*zip(*best, strict=True), "ko", markerfacecolor="none")
         axes.set(xscale="log", yscale="log", xlabel="cycle time in ms", ylabel="RMS error in µm")
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_formatter(LogFormatter())
+            axis.set_minor_formatter(LogFormatter(minor_thresholds=(1.0, 0.4)))
         axes.set_title(label, fontsize=9, loc="left")
         axes.legend(fontsize=6, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return drawing

@@ -1,5 +1,6 @@
 """Acquisition plans: what they show, for how long, and that budgets are kept. No renderer: pictures are formulas."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -19,6 +20,7 @@ from evaluation.hdr.comparison import (
 from evaluation.hdr.light_budget import BUDGETS, LightBudget, Reference, Shot
 from evaluation.hdr.strategy_lookup import strategies
 from evaluation.theory.clipping import clipped_harmonic
+from evaluation.theory.cramer_rao import efficiency
 from scenes.acquisition.patterns import PhaseShift
 from scenes.acquisition.sensor import SimpleSensor
 from scenes.files.stack import Stack
@@ -277,6 +279,22 @@ def test_one_repeat_establishes_nothing() -> None:
     )
     assert result.best("equal-time", "base") == ("a", "b")
     assert result.to_dict()["strategies"][0]["regions"]["base"]["half_width"]["rms_mm"] is None
+
+
+def test_comparison_is_json_where_a_region_has_one_pixel_or_no_scatter() -> None:
+    """One pixel's scatter over pixels is unknown, and the bound over a variance of 0 infinite: neither is a number of JSON."""
+    one_pixel = efficiency(np.array([[0.1], [-0.1]]), np.array([0.01]))
+    no_scatter = efficiency(np.full((2, 3), 0.1), np.full(3, 0.01))
+    assert one_pixel is not None
+    found = [MeanInterval.of_efficiency(e) for e in (one_pixel, no_scatter, None)]
+    assert found == [MeanInterval(one_pixel.value, None), None, None]
+    rows = [entry(name, [1.0]) for name in "ab"]
+    rows = [
+        replace(e, regions={"base": replace(e.regions["base"], efficiency=reached)})
+        for e, reached in zip(rows, found[:2], strict=True)
+    ]
+    result = StrategyComparison("s", 2, 0, 1, 0.1, LIMITS, tuple(rows), ())
+    json.dumps(result.to_dict(), allow_nan=False)
 
 
 def test_front_leaves_out_what_a_shorter_cycle_beats() -> None:
