@@ -1,6 +1,6 @@
 """Statistics of a comparison: figures of each strategy from repeats, and which differences are significant."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -145,10 +145,8 @@ def _region(
     bound_rad2: NDArray[np.float64] | None,
 ) -> StrategyRegion:
     scores = [repeat.scores[label] for repeat in repeats]
-    figures: dict[str, MeanInterval | None] = {}
-    for name in FIGURES:
-        values = [getattr(s, name) for s in scores]
-        figures[name] = None if None in values else MeanInterval.of(values)
+    values = {name: [getattr(s, name) for s in scores] for name in FIGURES}
+    figures = {n: None if None in v else MeanInterval.of(v) for n, v in values.items()}
     reached = None
     if len(repeats) > 1 and bound_rad2 is not None:
         reached = efficiency(np.stack([r.error_rad[mask] for r in repeats]), bound_rad2[mask])
@@ -225,7 +223,6 @@ class StrategyComparison:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data; always valid JSON."""
-        light = {} if self.light is None else {"light": dict(self.light)}
         return {
             "scene": self.scene,
             "repeats": self.repeats,
@@ -235,19 +232,14 @@ class StrategyComparison:
             "confidence": CONFIDENCE,
             "budgets": dict(self.limits),
             "strategies": [
-                _plain(
-                    e, "best_or_tied", [x for x in e.regions if e.name in self.best(e.budget, x)]
-                )
+                _plain(e, "best_or_tied", lambda e, x: e.name in self.best(e.budget, x))
                 for e in self.entries
             ],
             "left_out": [
                 dict(zip(("name", "budget", "reason"), item, strict=True)) for item in self.left_out
             ],
-            **light,
-            "pareto": [
-                _plain(e, "on_front", [x for x in e.regions if e in self.front(x)])
-                for e in self.pareto
-            ],
+            **({} if self.light is None else {"light": dict(self.light)}),
+            "pareto": [_plain(e, "on_front", lambda e, x: e in self.front(x)) for e in self.pareto],
         }
 
     @property
@@ -292,9 +284,11 @@ def _rivals(rows: Mapping[Any, StrategyRegion]) -> dict[Any, float]:
     return {n: float(np.mean(rows[n].rms_mm)) for n in kept}
 
 
-def _plain(entry: StrategyResult, mark: str, marked: Sequence[str]) -> dict[str, Any]:
+def _plain(
+    entry: StrategyResult, mark: str, marked: Callable[[StrategyResult, str], bool]
+) -> dict[str, Any]:
     """An entry as plain data; each region says whether it is marked."""
-    regions = {x: {**r.to_dict(), mark: x in marked} for x, r in entry.regions.items()}
+    regions = {x: {**r.to_dict(), mark: marked(entry, x)} for x, r in entry.regions.items()}
     return {**vars(entry), "regions": regions}
 
 
