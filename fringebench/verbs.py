@@ -14,8 +14,8 @@ from evaluation.hdr.light_budget import BUDGETS, LightBudget
 from evaluation.scoring.error_budget import ErrorBudget
 from fringebench.datasets.making import dataset
 from fringebench.experiments import cause_budget, hdr_comparison, surface_methods, whole_run
-from fringebench.experiments.acceptance import accept
 from fringebench.experiments.hdr_comparison import outside_strategy
+from fringebench.experiments.rigs.acceptance import accept
 from fringebench.gate.decoders import resolve
 from fringebench.gate.regression_gate import regress
 from fringebench.output_folder import prepare, write_json

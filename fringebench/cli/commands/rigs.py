@@ -57,8 +57,8 @@ def twin(
     """Turn a calibration or two data sheets into a scene: the user's own rig in front of a plate, a cap and a step."""
     check_outputs({"-o": output}, calibration)
     import scenes
-    from fringebench.experiments.data_sheet import rig_of_sheets
-    from fringebench.experiments.rig_twin import twin as make
+    from fringebench.experiments.rigs.data_sheet import rig_of_sheets
+    from fringebench.experiments.rigs.rig_twin import twin as make
     from scenes.rig.opencv_calibration import Source
     from scenes.support.errors import FileError
 
@@ -103,7 +103,7 @@ def calibrate(
     """Render a chart in several poses, calibrate from the images with OpenCV, and compare with the rendered rig."""
     check_outputs({"-o": output}, [scene])
     import scenes
-    from fringebench.experiments.virtual_calibration import calibrate as run
+    from fringebench.experiments.rigs.virtual_calibration import calibrate as run
     from scenes.rig import opencv_calibration
     from scenes.support.errors import FileError
 

@@ -12,8 +12,8 @@ import fringebench as fb
 import scenes
 from decode import Reconstruction
 from fringebench.exchange.capture_export import export
-from fringebench.experiments.rig_twin import twin
-from fringebench.experiments.virtual_calibration import calibrate
+from fringebench.experiments.rigs.rig_twin import twin
+from fringebench.experiments.rigs.virtual_calibration import calibrate
 from scenes import Scene
 from scenes.support.errors import DecodeError, SceneError
 

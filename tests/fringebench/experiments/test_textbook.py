@@ -9,6 +9,7 @@ from PIL import Image
 
 import scenes
 from fringebench.experiments import textbook
+from fringebench.experiments.chapter_experiment import APEX_PX, CAPTURES
 from fringebench.pages.chapter_page import chapter_report
 from scenes.support.errors import FileError, RenderError
 
@@ -53,7 +54,7 @@ def rows(folder: Path) -> Rows:
 
 def rms_scatter(pixels: int) -> float:
     """Standard deviation of a root mean square over that many pixels of every capture, relative."""
-    return float(1.0 / np.sqrt(2.0 * pixels * textbook.CAPTURES))
+    return float(1.0 / np.sqrt(2.0 * pixels * CAPTURES))
 
 
 def test_table_has_every_figure_and_is_json(rows: Rows) -> None:
@@ -100,7 +101,7 @@ def test_step_and_apex_are_measured_correctly(rows: Rows) -> None:
 
 def test_saturation_lowers_the_apex_as_clipping_predicts(rows: Rows) -> None:
     clean, saturated = rows["apex_clean_mm"], rows["apex_saturated_mm"]
-    sd = rows["base_rms_mm"].theory / textbook.APEX_PX / np.sqrt(textbook.CAPTURES)
+    sd = rows["base_rms_mm"].theory / APEX_PX / np.sqrt(CAPTURES)
     assert saturated.measured == pytest.approx(saturated.theory, abs=SIGMAS * sd)
     assert saturated.measured < clean.measured - SIGMAS * sd
 
@@ -108,7 +109,7 @@ def test_saturation_lowers_the_apex_as_clipping_predicts(rows: Rows) -> None:
 def test_mask_rejects_the_dark_region_and_not_saturation(rows: Rows) -> None:
     dark = rows["dark_flagged_fraction"]
     assert dark.measured >= 0.99
-    scatter = np.sqrt(dark.theory * (1.0 - dark.theory) / (6_000 * textbook.CAPTURES))
+    scatter = np.sqrt(dark.theory * (1.0 - dark.theory) / (6_000 * CAPTURES))
     assert dark.measured == pytest.approx(dark.theory, abs=SIGMAS * scatter)
     assert rows["base_false_alarm_fraction"].measured == 0.0
     assert rows["saturated_flagged_fraction"].measured == 0.0

@@ -16,8 +16,9 @@ from fringebench.datasets.dataset_plan import DatasetPlan
 from fringebench.datasets.overview_page import example_panels, write_report
 from fringebench.datasets.reader import Dataset
 from fringebench.exchange.viewer import read_view, write_view
+from fringebench.experiments.chapter_experiment import CAPTURES
 from fringebench.experiments.hdr_comparison import compare as compare_strategies
-from fringebench.experiments.textbook import CAPTURES, ChapterResult, ChapterRow
+from fringebench.experiments.textbook import ChapterResult, ChapterRow
 from fringebench.gate.regression_result import Regression
 from fringebench.pages.budget_page import budget_figure, budget_report
 from fringebench.pages.chapter_page import CAPTIONS, chapter_report

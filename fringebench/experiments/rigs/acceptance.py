@@ -18,7 +18,7 @@ from evaluation.scoring.reference_bodies import (
     fit_plane,
     fit_sphere,
 )
-from fringebench.experiments.shared_field import CommonField, common_field
+from fringebench.experiments.rigs.shared_field import CommonField, common_field
 from fringebench.progress import Steps
 from scenes import Scene
 from scenes.support.errors import SceneError

@@ -11,10 +11,10 @@ import decode
 import render
 import scenes
 from fringebench.cli.app import app
-from fringebench.experiments.chart import Chart, fitting, poses
-from fringebench.experiments.data_sheet import rig_of_sheets
-from fringebench.experiments.rig_twin import twin
-from fringebench.experiments.virtual_calibration import calibrate
+from fringebench.experiments.rigs.chart import Chart, fitting, poses
+from fringebench.experiments.rigs.data_sheet import rig_of_sheets
+from fringebench.experiments.rigs.rig_twin import twin
+from fringebench.experiments.rigs.virtual_calibration import calibrate
 from scenes import Calibration
 from scenes.rig import opencv_calibration
 from scenes.rig.opencv_calibration import Source

@@ -8,8 +8,8 @@ from typer.testing import CliRunner
 
 import scenes
 from fringebench.cli.app import app
-from fringebench.experiments.acceptance import BARS, PLANES, SPHERE, _ends, accept
-from fringebench.experiments.shared_field import common_field
+from fringebench.experiments.rigs.acceptance import BARS, PLANES, SPHERE, _ends, accept
+from fringebench.experiments.rigs.shared_field import common_field
 from scenes.support.errors import SceneError
 
 SMALL = {"camera.resolution": [320, 240], "sampling.samples": 16}

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 import decode
 import render
-from fringebench.experiments.chart import Chart, ChartPose, Kind, fitting, poses
+from fringebench.experiments.rigs.chart import Chart, ChartPose, Kind, fitting, poses
 from fringebench.progress import Steps
 from scenes import Calibration, Scene
 from scenes.rig.devices import Pinhole

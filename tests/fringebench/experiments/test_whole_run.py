@@ -1,18 +1,27 @@
-"""A run into the folder of an earlier one, and mistakes that are refused before light is traced."""
+"""Whole runs: into the folder of an earlier one, with mistakes, and what they do once for all."""
 
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+import trimesh
 
 import decode
 import render
 import scenes
 from fringebench import run
+from fringebench.datasets.dataset_plan import DatasetPlan
+from fringebench.datasets.sample import attempt
 from fringebench.experiments.cause_budget import budget
-from fringebench.experiments.whole_run import FILES
+from fringebench.experiments.hdr_comparison import compare
+from fringebench.experiments.whole_run import FILES, middle_exposure_alone
+from scenes.acquisition.patterns import PhaseShift
+from scenes.shapes.solids import Plate
 from scenes.support.errors import DecodeError, FileError, RenderError
+from tests.decode.synthetic import calibrated_stack, hills, rig
 
 SMALL = {"camera.resolution": [24, 18], "sampling.samples": 2}
 # From below the plate the camera sees nothing lit: light is traced, and then no exposure suits it.
@@ -78,3 +87,46 @@ def test_misspelt_fusion_rule_is_refused_before_light_is_traced(
     assert not list(tmp_path.iterdir())
     with pytest.raises(DecodeError, match="did you mean 'max-modulation'"):
         budget(scenes.load("step", SMALL), fusion="max-modulatoin")
+
+
+def test_run_and_single_take_the_same_exposure() -> None:
+    made = calibrated_stack(rig(), hills(), PhaseShift(periods_px=(16.0, 80.0)), sigma_dn=1.0)
+    times = (4.0, 1.0, 2.0)
+    frames = np.concatenate([made.frames * t for t in times])
+    stack = replace(made, frames=frames, exposure_ms=times)
+    alone = middle_exposure_alone(stack)
+    assert alone.exposure_ms == (2.0,)
+    chosen = int(decode.reconstruct(stack, fusion="single").exposure[0, 0])
+    assert stack.exposure_ms[chosen] == 2.0
+
+
+SCENE = scenes.load("step", {"camera.resolution": [32, 24], "sampling.samples": 4})
+
+
+def sample(folder: Path) -> None:
+    plan = DatasetPlan.of(SCENE, 1)
+    assert attempt(plan, plan.load_scene(), 0, folder).status == "made"
+
+
+WAYS: dict[str, Callable[[Path], object]] = {
+    "run": lambda folder: run(SCENE, folder),
+    "passes to a phase error": lambda folder: render.trace(SCENE, phase_error_rad=0.05),
+    "data set": sample,
+    "compare": lambda folder: compare(SCENE, repeats=1),
+    "budget": lambda folder: budget(SCENE, repeats=1),
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_scene_is_meshed_once(way: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[Plate] = []
+    own = Plate.mesh
+
+    def counted(plate: Plate) -> trimesh.Trimesh:
+        made.append(plate)
+        return own(plate)
+
+    monkeypatch.setattr(Plate, "mesh", counted)
+    WAYS[way](tmp_path)
+    # The scene's one plate is its base.
+    assert len(made) == 1

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from fringebench.experiments.shared_field import common_field
+from fringebench.experiments.rigs.shared_field import common_field
 from scenes import Calibration, Scene
 from scenes.support.errors import FileError
 

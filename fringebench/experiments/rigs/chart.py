@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fringebench.experiments.shared_field import common_field
+from fringebench.experiments.rigs.shared_field import common_field
 from scenes import Scene
 from scenes.rig.projection import Projection
 from scenes.support.errors import RenderError

@@ -1,0 +1,1 @@
+"""Experiments on a rig: made from data, calibrated, and accepted."""
