@@ -314,6 +314,22 @@ def claims_half_its_sigma(stack: Stack) -> Any:
     return height, valid, 0.5 * sigma
 
 
+def errs_by_two_and_a_half_sigmas(stack: Stack) -> Any:
+    """In 8 % of the pixels: more errors beyond 2 sigmas, few beyond 3."""
+    return _off_by(stack, 2.5, 0.08)
+
+
+def errs_by_four_sigmas(stack: Stack) -> Any:
+    """In 4 % of the pixels: errors that are not silent, since 5 sigmas cover them."""
+    return _off_by(stack, 4.0, 0.04)
+
+
+def _off_by(stack: Stack, sigmas: float, share: float) -> tuple[Image, NDArray[np.bool_], Image]:
+    height, valid, sigma = honest(stack)
+    some = np.random.default_rng(int(stack.frames.sum())).random(height.shape) < share
+    return height + np.where(some, sigmas * sigma, 0.0), valid, sigma
+
+
 def wrong_orders_in_one_percent(stack: Stack) -> Any:
     """One order off in 1 % of the pixels, honestly claimed as unknown."""
     height, valid, sigma = honest(stack)

@@ -1,6 +1,7 @@
 """Cheating, crashing and lying decoders against the gate: none passes, none hangs, none is blamed on the gate."""
 
 import os
+import re
 import subprocess
 import sys
 import time
@@ -122,6 +123,8 @@ def test_decoder_that_hangs_is_ended_with_all_it_started(
         ("claims_sigma_of_one_pixel", "excess_sigma_mm"),
         ("claims_three_times_its_sigma", "excess_sigma_mm"),
         ("claims_half_its_sigma", "beyond_1_sigma_fraction"),
+        ("errs_by_two_and_a_half_sigmas", "beyond_2_sigma_fraction"),
+        ("errs_by_four_sigmas", "beyond_3_sigma_fraction"),
         ("wrong_orders_in_one_percent", "wrong_order_fraction"),
         ("gives_nothing", "missing_fraction"),
         ("gives_what_is_easy", "missing_fraction"),
@@ -217,9 +220,22 @@ def test_program_that_misbehaves_is_named_as_the_fault(
     assert not processes_with("fringebench-red-team-program")
 
 
-def test_module_that_leaves_at_import_ends_with_status_two(tmp_path: Path) -> None:
+LEAVING = {
+    "sys.exit": ("import sys\nsys.exit(0)\n", r"called sys\.exit\(0\)"),
+    "os._exit": ("import os\nos._exit(0)\n", "ended with status 0"),
+    "fork": ("import os\nif os.fork():\n    os._exit(0)\n", "has no 'decode'|ended with status"),
+    "closed": ("import os\nos.closerange(0, 256)\nos._exit(0)\n", "ended with status|without"),
+}
+
+
+@pytest.mark.parametrize(
+    "way",
+    ["sys.exit", *(pytest.param(w, marks=pytest.mark.slow) for w in LEAVING if w != "sys.exit")],
+)
+def test_module_that_leaves_at_import_ends_with_status_two(tmp_path: Path, way: str) -> None:
     """The gate once ended with status 0 and no verdict."""
-    (tmp_path / "leaving.py").write_text("import sys\nsys.exit(0)\n")
+    code, named = LEAVING[way]
+    (tmp_path / "leaving.py").write_text(code)
     words = ["-m", "fringebench", "regress", "leaving:decode"]
     path = {"PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}"}
     done = subprocess.run(
@@ -227,7 +243,8 @@ def test_module_that_leaves_at_import_ends_with_status_two(tmp_path: Path) -> No
         capture_output=True, text=True, check=False, cwd=tmp_path, env={**os.environ, **path},
     )  # fmt: skip
     assert done.returncode == 2
-    assert "cannot be imported: called sys.exit(0)" in done.stderr
+    assert re.search(named, done.stderr), done.stderr
+    assert "Traceback" not in done.stderr
     assert done.stdout == ""
 
 
