@@ -25,6 +25,7 @@ from fringebench.gate.ci_formats import (
     write_junit,
 )
 from fringebench.gate.decoders import resolve
+from fringebench.gate.error_maps import ErrorMaps
 from fringebench.gate.regression_gate import regress
 from fringebench.gate.regression_result import Regression
 from fringebench.pages.regress_page import regress_report
@@ -151,6 +152,22 @@ def test_cached_light_equals_traced_light(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setenv("FRINGEBENCH_CACHE", "there")
     assert chosen_folder(None) == Path("there")
     assert chosen_folder("here") == Path("here")
+
+
+def test_maps_are_means_over_the_repeats_in_which_a_pixel_is_valid(sweep: tuple[Case, ...]) -> None:
+    (case,) = sweep
+    repeats = np.stack([case.height_mm + 0.25, case.height_mm + 0.25, case.height_mm + 0.75])
+    seen, never = (5, 5), (6, 6)
+    assert np.isfinite(case.height_mm[[5, 6], [5, 6]]).all()
+    repeats[:2, *seen] = np.nan
+    repeats[:, *never] = np.nan
+    maps = ErrorMaps.of(case, repeats, np.full(repeats.shape, 0.1))
+    assert maps.error_mm[7, 7] == pytest.approx((0.25 + 0.25 + 0.75) / 3)
+    assert maps.error_mm[seen] == pytest.approx(0.75)
+    assert np.isnan(maps.error_mm[never])
+    assert maps.missing[seen] == pytest.approx(2 / 3) and maps.missing[never] == 1.0
+    # Five claimed sigmas are 0.5 mm.
+    assert maps.silent[7, 7] == pytest.approx(1 / 3) and maps.silent[never] == 0.0
 
 
 def test_maps_are_stored_next_to_a_baseline_and_damaged_ones_are_ignored(

@@ -10,7 +10,7 @@ import trimesh
 
 import scenes
 from scenes.board.board import Board, ParametricBoard
-from scenes.board.component_packages import Bga, Qfn, Qfp
+from scenes.board.component_packages import Bga, Chip, Qfn, Qfp
 from scenes.board.deposits import Print
 from scenes.board.pad_layout import circle, rectangle
 from scenes.board.paste import Transfer
@@ -371,6 +371,25 @@ def test_parts_are_common_ones_of_half_a_millimetre_pitch(
     assert (x1 - x0, y1 - y0) == pytest.approx((across_mm, across_mm), abs=1e-3)
     x0, y0, x1, y1 = lands[0].bounds
     assert (x1 - x0, y1 - y0) == pytest.approx(pad_mm, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("size", "length_mm", "width_mm"),
+    # Bodies by their metric codes: 0603, 1005, 1608, 2012, 3216.
+    [
+        ("0201", 0.6, 0.3),
+        ("0402", 1.0, 0.5),
+        ("0603", 1.6, 0.8),
+        ("0805", 2.0, 1.25),
+        ("1206", 3.2, 1.6),
+    ],
+)
+def test_both_ends_of_a_chip_rest_on_its_pads(size: str, length_mm: float, width_mm: float) -> None:
+    one, two = (land.pad.bounds for land in Chip(size=size, position_mm=(0.0, 0.0)).lands(0.0))  # type: ignore[arg-type]
+    # Solder rises at the ends; the gap is under the body, whose terminals are 0.15 mm long or longer.
+    assert 0.1 < (two[2] - one[0] - length_mm) / 2 < 0.5
+    assert 0.1 < two[0] - one[2] < length_mm - 0.3
+    assert 0.05 < one[3] - one[1] - width_mm < 0.2
 
 
 def test_a_millimetre_is_left_around_pads_by_number() -> None:

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from scipy.stats import norm
 
 import scenes
 from scenes.shapes.grains import POWDERS_UM, Grains, Powder, pack
@@ -17,6 +18,13 @@ def test_powder_meets_its_type(kind: int) -> None:
     mass = diameters**3 / (diameters**3).sum()
     assert mass[(diameters >= low) & (diameters <= high)].sum() > 0.9
     assert mass[diameters > high].sum() < 0.01
+    # Log-normal by mass with 5 % below and 0.5 % above, then cut at the largest. Masses of 200 000 grains count as those of a
+    # quarter as many equal ones or more, so 5 % has a standard error of 0.1 %, and 0.5 % of 0.03 %.
+    below, above = norm.ppf(0.05), norm.ppf(0.995)
+    spread = np.log(high / low) / (above - below)
+    kept = norm.cdf(below + np.log(largest / low) / spread)
+    assert mass[diameters < low].sum() == pytest.approx(0.05 / kept, abs=4e-3)
+    assert mass[diameters > high].sum() == pytest.approx((kept - 0.995) / kept, abs=1.2e-3)
     assert diameters.max() <= largest
 
 
