@@ -120,6 +120,30 @@ def test_rejected_pixels_stay_out_of_the_statistics(truth_of: TruthMaker) -> Non
     assert base.flagged_fraction == pytest.approx(4 / 20)
 
 
+def test_noise_of_light_is_compared_with_the_sensors(truth_of: TruthMaker) -> None:
+    noise = np.full(SHAPE, 0.03, np.float32)
+    noise[:, ::2] = 0.01
+    noise[0] = np.nan  # Not known there.
+    truth = replace(truth_of(np.zeros(SHAPE)), render_noise_mm=noise)
+    base = evaluation.score(reconstruction(np.zeros(SHAPE), sigma=0.02), truth).regions["base"]
+    # Root mean squares: sqrt((9 + 1) / 2) against 2.
+    assert base.render_to_sensor_noise == pytest.approx(np.sqrt(5.0) / 2.0, rel=1e-6)
+
+
+def test_outliers_are_counted_by_the_sensors_sigma_and_by_that_of_all_causes(
+    truth_of: TruthMaker,
+) -> None:
+    error = np.zeros(SHAPE)
+    error[:, 0::8], error[:, 1::8], error[:, 2::8] = 0.1, 0.1, 0.2
+    rec = reconstruction(error, sigma=0.01)
+    rec = replace(rec, cause_sigma_mm={"mixed": np.full(SHAPE, 0.03, np.float32)})
+    base = evaluation.score(rec, truth_of(np.zeros(SHAPE))).regions["base"]
+    # 0.1 mm is ten of the sensor's sigmas and 3.2 of all, 0.2 mm is 6.3 of all.
+    assert base.outlier_fraction == pytest.approx((error > 0).mean())
+    assert base.total_outlier_fraction == pytest.approx((error > 0.15).mean())
+    assert base.total_sd_mm == pytest.approx(0.01 * np.sqrt(10.0), rel=1e-6)
+
+
 def test_shadow_does_not_count_as_missed(truth_of: TruthMaker) -> None:
     lit = np.ones(SHAPE, bool)
     lit[:, 10:14] = False

@@ -64,6 +64,8 @@ FILES: dict[str, tuple[str, list[float]]] = {
     ),
     "modal flash": (f"{BOX}{at(0, 0, 'D03')}{at(2, 0)}{at(4, 0)}", [0.5] * 3),
     "modal stroke": (f"%ADD10R,0.5X0.5*%\nD10*\n{at(0, 0, 'D02')}{at(1, 0, 'D01')}{at(2, 0)}", [1.25]),
+    "G70": (f"G70*\n{BOX}{at(0, 0, 'D03')}", [0.5 * 25.4**2]),
+    "G71": (f"G70*\nG71*\n{BOX}{at(0, 0, 'D03')}", [0.5]),
     "select with G54": (f"%ADD10R,1.0X0.5*%\nG54D10*\n{at(0, 0, 'D03')}", [0.5]),
     "several in one block": (f"%ADD10R,1X1*ADD11R,2X2*%\nD11*\n{at(0, 0, 'D03')}", [4.0]),
     "square stroke": (f"%ADD10R,0.5X0.5*%\nD10*\n{at(0, 0, 'D02')}{at(1, 0, 'D01')}", [0.75]),
