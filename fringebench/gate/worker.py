@@ -8,7 +8,6 @@ import importlib
 import json
 import os
 import pickle
-import sys
 import traceback
 from collections.abc import Callable
 from pathlib import Path
@@ -109,7 +108,3 @@ def _is_empty(error: BaseException) -> bool:
     from scenes.support.errors import DecodeError
 
     return isinstance(error, DecodeError)
-
-
-if __name__ == "__main__":
-    main(sys.argv[1], sys.argv[2], int(sys.argv[3]), int(sys.argv[4]))

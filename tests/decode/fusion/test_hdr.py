@@ -11,7 +11,7 @@ from scipy import optimize, stats
 import decode
 from decode.device import Device
 from decode.fusion.censored_likelihood import mills
-from decode.fusion.merging import PhasorSum
+from decode.fusion.merging import MaxModulationOfRepeats, PhasorSum
 from decode.phase.n_step import fringe_sets
 from scenes.acquisition.patterns import PhaseShift
 from scenes.acquisition.sensor import Emva, Sensor, SimpleSensor
@@ -265,6 +265,16 @@ def test_samples_clipped_at_zero_are_censored() -> None:
     # information, at most half; the mean of 12 800 scatters by 0.005.
     rice = 2.0 * (9.0 + 1.0 / 12.0) / 64.0 / (2.0 * 4.0)
     assert rice - 0.02 < true - 4.0 < 2.0 * rice + 0.02
+
+
+def test_of_repeated_times_the_one_of_largest_modulation_is_taken() -> None:
+    times_ms, sensor = (1.0, 4.0, 1.0), SimpleSensor(sigma_dn=0.5)
+    phase = all_phases(4, 64)
+    for offset, clipped in ((30.0, False), (60.0, True)):
+        rec = phases(capture(phase, offset, 20.0, times_ms, sensor, 1), MaxModulationOfRepeats())
+        # Noise of 0.5 DN and rounding: 0.58 sqrt(2/4) DN of B = 80, or of B = 20 by half of that where two are averaged.
+        sigma_rad = 0.58 * np.sqrt(0.5) / (20.0 * np.sqrt(2.0) if clipped else 80.0)
+        assert float(np.std(errors(rec, phase))) == pytest.approx(sigma_rad, rel=0.2)
 
 
 def test_sum_of_repeats_is_their_mean() -> None:

@@ -135,6 +135,12 @@ def test_impossible_studies_are_refused(values: np.ndarray, message: str) -> Non
         gauge_study(values)
 
 
+@pytest.mark.parametrize("values", [[1.0], [1.0, np.nan, 2.0], [[1.0, 2.0], [1.0, 2.0]]])
+def test_capability_needs_finite_measurements_of_one_part(values: list[float]) -> None:
+    with pytest.raises(ScoreError, match="give 2 or more finite ones of one part"):
+        capability(values, 1.0, 1.0)
+
+
 def test_capability_needs_a_tolerance() -> None:
     with pytest.raises(ScoreError, match="tolerance = 0"):
         capability([1.0, 2.0], 1.0, 0.0)

@@ -385,7 +385,7 @@ def test_parts_are_common_ones_of_half_a_millimetre_pitch(
     ],
 )
 def test_both_ends_of_a_chip_rest_on_its_pads(size: str, length_mm: float, width_mm: float) -> None:
-    one, two = (land.pad.bounds for land in Chip(size=size, position_mm=(0.0, 0.0)).lands(0.0))  # type: ignore[arg-type]
+    one, two = (land.pad.bounds for land in Chip(size=size, position_mm=(0.0, 0.0)).lands(0.0))
     # Solder rises at the ends; the gap is under the body, whose terminals are 0.15 mm long or longer.
     assert 0.1 < (two[2] - one[0] - length_mm) / 2 < 0.5
     assert 0.1 < two[0] - one[2] < length_mm - 0.3

@@ -185,6 +185,20 @@ def test_mirroring_rotation_and_scaling_apply_in_that_order(tmp_path: Path) -> N
     assert pad.symmetric_difference(expected).area < 1e-9
 
 
+@pytest.mark.parametrize(
+    "primitive",
+    # One millimetre from the origin on the x axis, each with its rotation last.
+    ["1,1,0.4,1,0,90", "2,1,0.4,0.5,0,1.5,0,90", "21,1,1,0.4,1,0,90", "22,1,1,0.4,0.5,-0.2,90",
+     "4,1,4,0.5,-0.2,1.5,-0.2,1.5,0.2,0.5,0.2,0.5,-0.2,90"],
+)  # fmt: skip
+def test_macro_primitives_turn_about_the_origin(tmp_path: Path, primitive: str) -> None:
+    (pad,) = pads_of(tmp_path, f"%AMM*{primitive}*%\n%ADD10M*%\nD10*\n{at(0, 0, 'D03')}")
+    assert (pad.centroid.x, pad.centroid.y) == pytest.approx((0.0, 1.0), abs=1e-6)
+    x0, y0, x1, y1 = pad.bounds
+    length_mm = 0.4 if primitive.startswith("1,") else 1.0
+    assert (x1 - x0, y1 - y0) == pytest.approx((0.4, length_mm), abs=1e-3)
+
+
 def test_repeats_are_at_their_places_in_inches_too(tmp_path: Path) -> None:
     head = "%FSLAX24Y24*%\n%MOIN*%\n"
     body = "%ADD10R,0.04X0.02*%\n%SRX2Y2I0.2J0.1*%\nD10*\nX0Y0D03*\n%SR*%\n"
