@@ -15,6 +15,18 @@ from scenes import Scene
 from scenes.acquisition.sensor import Emva
 from tests.render import rigs
 from tests.render.plugins.test_projector_pixels import FILL, SIGMA_PX
+from tests.render.test_bit_planes import (
+    test_phase_error_equals_that_of_a_simulation_of_single_mirrors as test_bit_planes,
+)
+from tests.render.test_illumination_map import (
+    test_map_of_a_polynomial_is_that_polynomial as test_illumination_map,
+)
+from tests.render.test_image_borders import (
+    test_phase_of_outermost_pixels_is_that_in_a_larger_image as test_image_borders,
+)
+from tests.render.test_motion import (
+    test_phase_of_a_moving_slope_is_its_closed_form as test_conveyor,
+)
 from tests.render.test_point_spread import (
     F_NUMBERS,
     PITCH_UM,
@@ -23,11 +35,23 @@ from tests.render.test_point_spread import (
     edge_scene,
     sensor,
 )
+from tests.render.test_point_spread import (
+    test_encircled_energy_is_that_of_an_airy_disc as test_encircled_energy,
+)
 from tests.render.test_unsteady_light import QUIET, phase, plain
+from tests.render.test_unsteady_light import (
+    test_light_of_a_source_fluctuates_from_picture_to_picture as test_fluctuation,
+)
+from tests.trust import chance
 
 Floats = NDArray[np.float64]
 Figure = Any
 pytestmark = pytest.mark.trust
+# Closed forms that every run checks are part of this suite, too.
+__all__ = [
+    "test_bit_planes", "test_conveyor", "test_encircled_energy", "test_fluctuation", "test_illumination_map",
+    "test_image_borders",
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("f_number", F_NUMBERS)
@@ -115,6 +139,25 @@ def test_height_of_a_vibrating_scene_scatters_by_061_of_it(record_property: Figu
     record_property("figure", f"{rms:.4f} of it, {rms / np.sqrt(3 / 8) - 1:+.2%}")
     # 4000 repeats of some three independent numbers each know it to 0.7 %.
     assert rms == pytest.approx(np.sqrt(3 / 8), rel=0.03)
+
+
+@pytest.mark.parametrize("exposure_ms", [0.1, 3.0, 17.0])
+def test_flicker_of_ambient_light_is_averaged_by_the_exposure(
+    exposure_ms: float, record_property: Figure
+) -> None:
+    """Of depth d and frequency f an exposure of T keeps ``d |sinc(f T)|``, at a phase of its own: variance half its square."""
+    scene = plain(ambient__flicker_depth=0.3, ambient__flicker_hz=100.0)
+    light = render.trace(scene, samples=4)
+    still = render.expose(light, sensor=QUIET, exposures=[exposure_ms], noise=False).frames[0]
+    seeds = chance.seeds(4, "flicker", exposure_ms)
+    taken = [render.expose(light, s, QUIET, [exposure_ms] * 250).frames for s in seeds]
+    mean = light.ambient.astype(np.float64) * exposure_ms
+    share = ((np.concatenate(taken) - still.astype(np.float64)) / mean).mean(axis=(2, 3))
+    kept = 0.3 * abs(np.sinc(0.1 * exposure_ms))
+    # A cosine's square has a variance of an eighth.
+    z = (share.var() - kept**2 / 2) / (kept**2 / np.sqrt(8 * share.size))
+    record_property("figure", f"depth {np.sqrt(2 * share.var()) / kept - 1:+.2%}")
+    assert chance.two_sided(np.array([z]))[0] > chance.ALPHA / 3
 
 
 def test_speckle_shifts_phase_as_its_closed_form(record_property: Figure) -> None:

@@ -269,6 +269,40 @@ def test_nonlinear_response_is_recovered(flat: render.Transport, record_property
     assert off < 2e-3
 
 
+def test_hot_and_dead_pixels_are_counted(flat: render.Transport, record_property: Figure) -> None:
+    """A failure points to the defects' shares, or to the exponential law of the hot pixels' current."""
+    share, current, dead = 0.01, 400.0, 0.002
+    sensor = Emva(bits=0, hot_pixels=share, hot_current_e_per_s=current, dead_pixels=dead)
+    seed, chip = chance.seeds(2, "defects")
+    seconds = 10.0
+    dark = render.expose(flat, seed, sensor, [1e3 * seconds], chip_seed=chip).frames[0, BLACK]
+    above_e = (dark - sensor.mean_dn(0.0, 1e3 * seconds)) / sensor.gain_dn_per_e
+    # 60 electrons are 15 standard deviations of read noise and dark current.
+    limits_e = np.array([60.0, 2000.0, 8000.0])
+    hot = np.array([(above_e > limit).sum() for limit in limits_e])
+    expected = PIXELS * share * np.exp(-limits_e / (current * seconds))
+    lit = shots(flat, sensor, [0.3 * full_ms(flat, sensor)], seed, chip)[0]
+    none = int((lit - sensor.black_level_dn < 60.0 * sensor.gain_dn_per_e).sum())
+    counts, means = np.append(hot, none), np.append(expected, PIXELS * dead)
+    z = (counts - means) / np.sqrt(means)
+    record_property("figure", f"counts off by {', '.join(f'{c / m - 1:+.1%}' for c, m in zip(counts, means, strict=True))}")  # fmt: skip
+    assert chance.family(chance.two_sided(z)) > chance.ALPHA
+
+
+@pytest.mark.parametrize(("bits", "clip"), [(8, 235.0), (12, 4080.0), (16, 65520.0)])
+def test_flooded_pixels_read_the_level_at_which_the_converter_clips(
+    bits: int, clip: float, flat: render.Transport
+) -> None:
+    """A failure points to the saturation level below full scale; light below it is not changed."""
+    how = {"bits": bits, "full_well_e": 1e6, "gain_dn_per_e": clip / 2e4, "black_level_dn": 8.0}
+    whole, clipped = Emva(**how), Emva(**how, clip_dn=clip)
+    full = full_ms(flat, whole.model_copy(update={"bits": 0})) * 2e4 / 1e6
+    dim, bright = (shots(flat, clipped, [share * full], 7)[0] for share in (0.8, 3.0))
+    assert (bright == clip).all()
+    assert (shots(flat, whole, [3.0 * full], 7)[0] == 2.0**bits - 1.0).all()
+    assert np.array_equal(dim, shots(flat, whole, [0.8 * full], 7)[0])
+
+
 def test_vignetting_dims_the_image_as_its_polynomial(flat: render.Transport) -> None:
     """A failure points to the camera's relative illumination: even paint shows it pixel by pixel."""
     camera = flat.scene.camera.model_copy(update={"vignetting": (-0.3, 0.05)})
