@@ -210,15 +210,11 @@ class Scene(Frozen):
         if not self.objects and self.board is None:
             raise ValueError("the scene is empty: give objects, or a board")
         known = LIBRARY.keys() | self.materials.keys()
-        for name in self.board.materials if self.board else ():
+        used = [("the board", name) for name in (self.board.materials if self.board else ())]
+        used += [(f"object '{item.label}'", item.material) for item in self.objects]
+        for what, name in used:
             if name not in known:
-                raise ValueError(f"the board has unknown material '{name}': {nearest(name, known)}")
-        for item in self.objects:
-            if item.material not in known:
-                raise ValueError(
-                    f"object '{item.label}' has unknown material '{item.material}': "
-                    + nearest(item.material, known)
-                )
+                raise ValueError(f"{what} has unknown material '{name}': {nearest(name, known)}")
         auto = self.exposures.auto
         if auto and auto.label not in self.labels:
             raise ValueError(
@@ -278,10 +274,9 @@ class Scene(Frozen):
                 )
             return
         camera, light = self.camera.projection(), projector.projection()
-        parallel = np.linalg.norm(np.cross(camera.axis, light.axis)) < 1e-6
-        together = np.linalg.norm(camera.origin_mm - light.origin_mm) < 1e-6
-        blind = parallel if camera.telecentric and light.telecentric else together
-        if blind:
+        both = camera.telecentric and light.telecentric
+        apart = np.cross(camera.axis, light.axis) if both else camera.origin_mm - light.origin_mm
+        if np.linalg.norm(apart) < 1e-6:
             raise ValueError(
                 f"camera and projector {index} see along the same rays, so no height can be measured: "
                 "move or tilt one of them"
@@ -302,8 +297,6 @@ class Scene(Frozen):
     def frames(self) -> tuple[Frame, ...]:
         """All frames of all projectors, in the order shown; then those of the second camera."""
         shown = self.patterns.frames(len(self.projectors))
-        return (
-            shown
-            if self.second_camera is None
-            else (*shown, *(replace(f, camera=1) for f in shown))
-        )
+        if self.second_camera is None:
+            return shown
+        return (*shown, *(replace(f, camera=1) for f in shown))

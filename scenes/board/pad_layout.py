@@ -104,6 +104,15 @@ def rounded(shape: shapely.Polygon) -> shapely.Polygon:
     return tidy
 
 
+def area_ratio(aperture: shapely.Polygon, stencil_mm: float) -> float:
+    """IPC-7525's area ratio: area of the opening over area of its walls; ``L W / (2 (L + W) T)`` for a rectangle.
+
+    >>> round(area_ratio(shapely.box(0.0, 0.0, 0.6, 0.4), 0.12), 3)
+    1.0
+    """
+    return float(aperture.area / (aperture.length * stencil_mm))
+
+
 def cut_pads(pads: Iterable[Pad], box: Bounds) -> tuple[Pad, ...]:
     """The pads that a box's edge cuts."""
     frame = shapely.box(*box)

@@ -9,7 +9,6 @@ from itertools import pairwise
 from typing import Annotated, Literal, Self
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 from pydantic import Field, PositiveFloat, model_validator
 from scipy.spatial import cKDTree
@@ -186,15 +185,6 @@ class Form:
     """Its place relative to half the footprint's extent, -1 to 1 along x and y."""
 
 
-def area_ratio(aperture: shapely.Polygon, stencil_mm: float) -> float:
-    """IPC-7525's area ratio: area of the opening over area of its walls; ``L W / (2 (L + W) T)`` for a rectangle.
-
-    >>> round(area_ratio(shapely.box(0.0, 0.0, 0.6, 0.4), 0.12), 3)
-    1.0
-    """
-    return float(aperture.area / (aperture.length * stencil_mm))
-
-
 def deposit(
     mesh: Tessellation,
     volume_mm3: float,
@@ -290,9 +280,8 @@ def _grains(xy: Floats, height: Floats, paste: Paste, rng: np.random.Generator) 
     """
     pitch = paste.grain_mm
     low, high = xy.min(axis=0) - pitch, xy.max(axis=0) + pitch
-    x, y = np.meshgrid(
-        np.arange(low[0], high[0], pitch), np.arange(low[1], high[1], pitch * np.sqrt(3.0) / 2.0)
-    )
+    rows = np.arange(low[1], high[1], pitch * np.sqrt(3.0) / 2.0)
+    x, y = np.meshgrid(np.arange(low[0], high[0], pitch), rows)
     x[1::2] += pitch / 2
     centres = np.column_stack([x.ravel(), y.ravel()])
     centres += rng.normal(0.0, 0.08 * pitch, centres.shape)

@@ -16,8 +16,8 @@ from pydantic import TypeAdapter
 from scenes.board.board import Board, GerberBoard
 from scenes.board.defects import PadDefects, draw_defects
 from scenes.board.deposits import Deposit, Print
-from scenes.board.pad_layout import Layout, Pad, rounded
-from scenes.board.paste import Form, area_ratio, deposit
+from scenes.board.pad_layout import Layout, Pad, area_ratio, rounded
+from scenes.board.paste import Form, deposit
 from scenes.board.stray_paste import drawn_bridges, foreign_body, lifted, smear_tail
 from scenes.shapes.heightfield import Heightfield
 from scenes.shapes.tessellation import Tessellation, tessellate

@@ -7,8 +7,8 @@ import pytest
 import shapely
 import trimesh
 
-from scenes.board.pad_layout import disk
-from scenes.board.paste import Form, Paste, Transfer, area_ratio, deposit
+from scenes.board.pad_layout import area_ratio, disk
+from scenes.board.paste import Form, Paste, Transfer, deposit
 from scenes.shapes.heightfield import Heightfield
 from scenes.shapes.tessellation import tessellate
 from scenes.support.errors import MeshError
