@@ -74,13 +74,18 @@ def _order_of(stack: Stack, rec: Reconstruction, projector: int) -> Iterator[Fin
     """Whether the order of one axis is known, and neighbours agree about it."""
     axis, phase = rec.axis, rec.phases[rec.axis]
     if not rec.order_known:
-        said = (
-            "the fringe order is known only up to whole turns, so heights may be off by whole fringes: add a coarser period "
-            "or Gray code"
-        )
+        said = "the fringe order is known only up to whole turns, so heights may be off by whole fringes: "
+        cells = {f.period_px for f in stack.patterns if f.kind == "gray" and f.axis == axis}
+        if cells:
+            said += (
+                f"the Gray code's cells of {max(cells):g} px are wider than what the fringes are unique over: correct cell_px or "
+                "a period"
+            )
+        else:
+            said += "add a coarser period or Gray code"
         if stack.projector_size(projector) is None:
             said += ", or give projector_resolution if the periods beat beyond the projector's size"
-        yield Finding(f"{axis}s, fringe order", "warning", said)
+        yield Finding(f"{axis}s, fringe order", "wrong" if cells else "warning", said)
     if axis in fringe_sets(stack.patterns, projector):
         yield jumps(phase, rec.valid, f"{axis}s, neighbours")
         yield from scales(stack, rec, projector)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from decode.phase.gamma import CLEAR, clearest
 from decode.phase.n_step import TURN, FringeSet, fringe_sets, solution, wrap
 from decode.pipeline import reconstruct
+from decode.reason import Reason
 from decode.reconstruction import Reconstruction
 from scenes.files.stack import Stack
 from scenes.support.errors import DecodeError
@@ -25,6 +26,8 @@ FEWEST_PIXELS = 1000
 FEWEST_TURNS = 2.0
 # Predicted standard deviations by which coordinates must be moved.
 MOVED = 10.0
+# Of the means over parts of the axis: slope below which it is no period's, and offset from the origin in parts of the middle.
+BINS, SLOPE, PROPORTIONAL = 24, 0.003, 0.1
 # The line must explain three quarters of the mean square difference.
 LEFT = 0.5
 # Edges of cells, and neighbouring pixels on both sides of each.
@@ -46,8 +49,8 @@ def scales(stack: Stack, rec: Reconstruction, projector: int) -> Iterator[Findin
     Yields
     ------
     Finding
-        For each coarser period of which two turns are in view, and for the Gray code; its value is the largest
-        displacement, px.
+        For each coarser period of which two turns are in view, or that is wrong with fewer, and for the Gray code; its value
+        is the largest displacement, px.
     """
     *coarser, finest = fringe_sets(stack.patterns, projector)[rec.axis]
     every = max(1, int(np.sqrt(rec.valid.size / MAX_PIXELS)))
@@ -58,14 +61,19 @@ def scales(stack: Stack, rec: Reconstruction, projector: int) -> Iterator[Findin
     for fringes in coarser:
         name = f"{rec.axis} fringes of {fringes.period_px:g} and {finest.period_px:g} px, scale"
         phase, good = _phase(stack, fringes, thin)
-        good &= rec.valid[thin]
+        span = (
+            np.percentile(at_px[good & rec.valid[thin]], (1.0, 99.0)) if good.any() else np.zeros(2)
+        )
+        short = np.ptp(span) < FEWEST_TURNS * fringes.period_px
+        good &= _lit(rec)[thin] if short else rec.valid[thin]
         if good.sum() < FEWEST_PIXELS:
             continue
         at = at_px[good]
-        first, last = np.percentile(at, (1.0, 99.0))
-        if last - first < FEWEST_TURNS * fringes.period_px:
-            continue
         miss = wrap(phase[good] - TURN * at / fringes.period_px) * (fringes.period_px / TURN)
+        if short:
+            yield from _short_field(name, at, miss, (fringes, finest))
+            continue
+        first, last = span
         slope, offset = _line(at, miss)
         left = miss - offset - slope * at
         moved = float(max(abs(offset + slope * first), abs(offset + slope * last)))
@@ -74,11 +82,43 @@ def scales(stack: Stack, rec: Reconstruction, projector: int) -> Iterator[Findin
         if not explained or moved < MOVED * sigma_px:
             yield Finding(name, "ok", said, moved)
             continue
-        said += (
-            f": a period or an origin is not as stated; period_px = {finest.period_px * (1.0 + slope):.6g} instead of "
-            f"{finest.period_px:g}, or {fringes.period_px / (1.0 + slope):.6g} instead of {fringes.period_px:g}, would fit"
-        )
-        yield Finding(name, "wrong", said, moved)
+        yield Finding(name, "wrong", said + _fitting(slope, fringes, finest), moved)
+
+
+def _lit(rec: Reconstruction) -> NDArray[np.bool_]:
+    """Pixels with a coordinate, also where orders disagree: leaving those out would hide what they disagree about."""
+    return np.isin(rec.reason, (Reason.OK, Reason.ORDER_MISMATCH))
+
+
+def _fitting(slope: float, fringes: FringeSet, finest: FringeSet) -> str:
+    return (
+        f": a period or an origin is not as stated; period_px = {finest.period_px * (1.0 + slope):.6g} instead of "
+        f"{finest.period_px:g}, or {fringes.period_px / (1.0 + slope):.6g} instead of {fringes.period_px:g}, would fit"
+    )
+
+
+def _short_field(
+    name: str, at: NDArray[np.float64], miss: NDArray[np.float64], sets: tuple[FringeSet, FringeSet]
+) -> Iterator[Finding]:
+    """A difference in proportion to the coordinate, which vanishes where the coordinate is 0, of less than two turns.
+
+    Gamma and flicker of the coarse fringes make differences of any slope and offset; a wrong period ties one to the other.
+    """
+    edges = np.quantile(at, np.linspace(0.0, 1.0, BINS + 1))
+    which = np.clip(np.searchsorted(edges, at, "right") - 1, 0, BINS - 1)
+    count = np.maximum(np.bincount(which, minlength=BINS), 1)
+    place, mean = (np.bincount(which, v, minlength=BINS) / count for v in (at, miss))
+    (slope, offset), spread = np.polyfit(place, mean, 1, cov=True)
+    slope_error, offset_error = np.sqrt(np.diag(spread))
+    middle = abs(slope) * float(place.mean())
+    moved = abs(slope) * float(place.max())
+    said = f"coordinates differ by up to {moved:.3f} px along the axis"
+    if (
+        abs(slope) > max(SLOPE, MOVED * slope_error)
+        and offset_error < PROPORTIONAL * middle
+        and abs(offset) < PROPORTIONAL * middle
+    ):
+        yield Finding(name, "wrong", said + _fitting(float(slope), *sets), moved)
 
 
 def _code(
@@ -105,21 +145,35 @@ def _code(
         code = reconstruct(small, height="phase", axis=rec.axis, projector=projector)
     except DecodeError:
         return
-    good = code.valid & rec.valid[::every, ::every]
+    good = _lit(code) & _lit(rec)[::every, ::every]
+    phases = rec.phases[rec.axis]
+    period = phases.period_px
     cell = np.where(good, code.phases[rec.axis].coordinate_px, np.nan)
-    at = rec.phases[rec.axis].coordinate_px[::every, ::every]
-    edges, measured = np.concatenate(
-        [_crossings(*planes, max(cells)) for planes in ((cell, at), (cell.T, at.T))], axis=1
+    turn = np.exp(1j * phases.wrapped_rad[::every, ::every].astype(np.float64))
+    edges, seen = (
+        np.concatenate(both)
+        for both in zip(
+            *(_crossings(*planes, max(cells)) for planes in ((cell, turn), (cell.T, turn.T))),
+            strict=True,
+        )
     )
     edge, which, count = np.unique(np.round(edges, 3), return_inverse=True, return_counts=True)
     often = count >= FEWEST_CROSSINGS
     if often.sum() < FEWEST_EDGES:
         return
-    miss = (np.bincount(which, measured) / count - edge)[often]
+    # By phase, whatever the orders: from edge to edge it moves by less than half a period.
+    apart = seen * np.exp(-1j * TURN * edges / period)
+    sums = np.bincount(which, apart.real) + 1j * np.bincount(which, apart.imag)
+    miss = np.unwrap(np.angle(sums[often])) * (period / TURN)
     edge = edge[often]
-    slope, offset = _line(edge, miss)
+    # Edges at a step of the surface are off, so medians (Theil 1950).
+    i, j = np.triu_indices(edge.size, 1)
+    slope = float(np.median((miss[j] - miss[i]) / (edge[j] - edge[i])))
+    offset = float(np.median(miss - slope * edge))
     left = miss - offset - slope * edge
-    moved = abs(slope) * float(np.ptp(edge))
+    # A difference in proportion to the coordinate is as large as its distance from the origin.
+    proportional = abs(offset) < PROPORTIONAL * abs(slope) * float(edge.mean())
+    moved = abs(slope) * float(edge.max() if proportional else np.ptp(edge))
     explained = np.median(np.abs(left)) < LEFT * np.median(np.abs(miss - np.median(miss)))
     bad = bool(explained and moved > MOVED * sigma_px)
     said = f"widths of cells and periods differ by {moved:.3f} px along the axis"
@@ -128,13 +182,15 @@ def _code(
 
 
 def _crossings(
-    cell: NDArray[np.float64], at: NDArray[np.float64], width_px: float
-) -> NDArray[np.float64]:
-    """Edge of the cells (0) and coordinate (1) between neighbours along rows that see adjacent cells."""
+    cell: NDArray[np.float64], turn: NDArray[np.complex128], width_px: float
+) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
+    """Edge of the cells, px, and the phase there as a number of length one, between neighbours along rows that see
+    adjacent cells.
+    """
     one, two = cell[:, :-1], cell[:, 1:]
     adjacent = np.isclose(np.abs(two - one), width_px, rtol=1e-3)
-    middle = 0.5 * (at[:, :-1] + at[:, 1:])
-    return np.stack([0.5 * (one + two)[adjacent], middle[adjacent]])
+    middle = turn[:, :-1][adjacent] + turn[:, 1:][adjacent]
+    return 0.5 * (one + two)[adjacent], middle / np.maximum(np.abs(middle), 1e-12)
 
 
 def _phase(
