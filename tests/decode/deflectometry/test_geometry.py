@@ -12,7 +12,16 @@ from scipy import stats
 from decode import Reason
 from decode.deflectometry.edges import mostly_outside, near_edges, shift_px
 from decode.deflectometry.integration import Integration, Patches
-from decode.deflectometry.reflection import Rays, meeting, normals, seen_points, slopes, spread
+from decode.deflectometry.mirror_surface import two_positions
+from decode.deflectometry.reflection import (
+    Looks,
+    Rays,
+    meeting,
+    normals,
+    seen_points,
+    slopes,
+    spread,
+)
 from scenes import Emva, LookAt, Pinhole, Screen, Telecentric
 
 Floats = NDArray[np.float64]
@@ -71,6 +80,21 @@ def test_two_positions_give_point_and_normal_of_any_sphere(camera: Any, radius_m
     np.testing.assert_allclose(found, point, atol=1e-9)
     np.testing.assert_allclose(gap, 0.0, atol=1e-9)
     np.testing.assert_allclose(normals(rays, found, (near, far)), normal, atol=1e-11)
+
+
+def test_rays_that_miss_each_other_on_either_side_give_no_height() -> None:
+    rays, point, normal = sphere(PINHOLE, 150.0)
+    exact = seen(rays, point, normal)
+    sigma = np.full(exact.shape, 0.02)
+    assert (
+        two_positions(rays, Looks(SCREENS, exact, sigma, np.zeros_like(exact))).reason == Reason.OK
+    ).all()
+    # Rows of the far screen off by 20 px, 1000 deviations: the mirrored ray is tilted out of the plane of the two.
+    off = exact.copy()
+    off[1, 1, ::2] += 20.0
+    off[1, 1, 1::2] -= 20.0
+    found = two_positions(rays, Looks(SCREENS, off, sigma, np.zeros_like(exact)))
+    assert (found.reason == Reason.NO_HEIGHT).all()
 
 
 def test_predicted_deviations_are_those_of_noisy_coordinates() -> None:
