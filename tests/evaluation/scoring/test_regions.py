@@ -172,6 +172,7 @@ def test_margin_removes_pixels_at_borders_and_keeps_those_at_the_frame(
     lit = np.ones(SHAPE, bool)
     lit[:3, :3] = False
     truth = truth_of(np.zeros(SHAPE), {"base": True, "ink": ink}, lit=lit)
+    assert np.array_equal(evaluation.scored(truth, "ink"), truth.region("ink"))
     assert evaluation.scored(truth, "ink", 1).sum() == 4 * 8
     assert evaluation.scored(truth, "ink", 3).sum() == 0
     base = evaluation.scored(truth, "base", 1)
