@@ -272,6 +272,12 @@ class Scene(Frozen):
                     f"patterns have no {missing.pop()} fringes: a screen needs both, patterns.axes = ['column', 'row'], as a "
                     "slope has two components"
                 )
+            hidden = projector.hidden_share(self.camera.projection(), self.height_range_mm[0])
+            if hidden > 0.0:
+                raise ValueError(
+                    f"the screen in position {index} hides {hidden:.0%} of the camera's view: move it away from the line between "
+                    "camera and objects, or give it a smaller size_mm"
+                )
             return
         camera, light = self.camera.projection(), projector.projection()
         both = camera.telecentric and light.telecentric

@@ -13,6 +13,8 @@ from scenes.support.frozen import Frozen
 
 # Two positions closer than this are no second look: directions would be noise.
 MIN_APART_MM = 0.1
+# Points of a camera's image along each side at which its view is checked.
+GRID = 33
 
 
 class Emission(Frozen):
@@ -149,6 +151,19 @@ class Screen(RigDevice, Emission):
             translation,
             np.inf,
         )
+
+    def hidden_share(self, camera: Projection, floor_mm: float) -> float:
+        """Share of a camera's rays, of a grid over its image, that end on the screen before they reach z = `floor_mm`."""
+        along = (np.linspace(0.0, size, GRID) for size in (camera.width, camera.height))
+        start, way = camera.rays(np.stack(np.meshgrid(*along), axis=-1))
+        rotation, translation = self.pose.matrix()
+        local, ahead = start @ rotation.T + translation, way @ rotation.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            distance = -local[..., 2] / ahead[..., 2]
+            floor = (floor_mm - start[..., 2]) / way[..., 2]
+            place = np.abs(local + distance[..., None] * ahead)[..., :2]
+        hidden = (distance > 0.0) & (distance < floor)
+        return float((hidden & (place < np.array(self.size_mm) / 2.0).all(axis=-1)).mean())
 
 
 def require_one_kind(projectors: Sequence[object]) -> None:

@@ -20,7 +20,11 @@ from scenes.support.errors import DecodeError
 
 # Blur reaches so far: a pixel closer to the edge of a mirror sees its surroundings, too.
 MARGIN_PX = 3
-MIRRORS = [("mirror-deflectometry", "mirror"), ("lens-deflectometry", "lens")]
+MIRRORS = [
+    ("mirror-deflectometry", "mirror"),
+    ("lens-deflectometry", "lens"),
+    ("dome-deflectometry", "solder"),
+]
 
 Traced = tuple[Callable[..., Stack], Truth]
 
@@ -84,14 +88,15 @@ def test_predicted_deviations_hold_on_noisy_frames(name: str, label: str, margin
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "label"), MIRRORS)
+@pytest.mark.parametrize(("name", "label"), MIRRORS[:2])
 def test_pixels_are_mixed_where_their_centre_is_off_the_mirror(name: str, label: str) -> None:
     expose, truth = traced(name)
     mirror = truth.region(label) & truth.lit
     rec = decode.reconstruct(expose(noise=False))
     around = ndimage.binary_dilation(mirror, iterations=1) & ~mirror
     border = mirror & ~ndimage.binary_erosion(mirror, iterations=1)
-    # An edge through a pixel's centre takes half of its light, whatever the blur. The rendered response to an edge is off by
+    # An edge through a pixel's centre takes half of its light, whatever the blur, and half of its fringes, where these are wide
+    # compared with a pixel (on the dome they are not). The rendered response to an edge is off by
     # up to 3.5 % of it (`render.point_spread`), so that pixels are judged wrongly whose centre is so near to the edge.
     assert (rec.valid & ~mirror).sum() < 0.035 * around.sum()
     assert (~rec.valid & mirror).sum() < 0.035 * border.sum()

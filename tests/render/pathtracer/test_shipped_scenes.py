@@ -1,5 +1,6 @@
 """The shipped scenes under every rig against Mitsuba's `path`: what a user runs is what was tested."""
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -45,3 +46,20 @@ def test_shipped_scene_equals_path(name: str, rig: str) -> None:
     assert p > 2 * stats.norm.sf(3), f"bias {bias:.1e}, standard error {error:.1e}"
     # Teeth: two percent of bias would be seen even under solder's highlights.
     assert error < 0.02 / 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("material", ["mirror", "tin"])
+@pytest.mark.parametrize("position", [0, 1])
+@pytest.mark.parametrize(
+    "name", ["mirror-deflectometry", "lens-deflectometry", "dome-deflectometry"]
+)
+def test_screen_seen_by_way_of_a_shipped_surface_equals_path(
+    name: str, position: int, material: str, tmp_path: Path
+) -> None:
+    """Smooth and rough metal, flat and curved, on paint; `path` also shows a screen that hides the scene."""
+    found = scenes.load(name, SMALL | {"objects.1.material": material})
+    comparison = compare(found, frame=1, projector=position)
+    comparison.require_equal(tmp_path)
+    # One percent of bias would be detected.
+    assert comparison.mean_bias()[1] < 0.01 / 3

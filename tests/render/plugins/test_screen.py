@@ -8,6 +8,7 @@ import pytest
 
 import render
 import scenes
+from scenes import Pinhole, Screen
 from scenes.support.errors import RenderError
 from tests.render import rigs
 from tests.render.oracle import compare
@@ -80,6 +81,21 @@ def test_mirrored_radiance_falls_with_the_angle_and_the_place_on_the_screen(fall
     assert whole.mean() > 0.3
     # A pixel averages over 2.5 mm, in which the light's curvature changes the mean by a thousandth.
     np.testing.assert_allclose(white[whole], expected[whole], rtol=2e-3)
+
+
+@pytest.mark.parametrize(("height_mm", "share"), [(100.0, 0.5), (-30.0, 0.0), (300.0, 0.0)])
+def test_screen_in_the_cameras_view_is_refused(height_mm: float, share: float) -> None:
+    """Halfway to the plane, where the field is 30 mm wide, below the plane, and above the camera; it faces the ground far away."""
+    pose = {"origin_mm": (0.0, 0.0, height_mm), "target_mm": (0.0, 0.0, -1e3)}
+    narrow = screen(size_mm=(15.0, 160.0), pose=pose)
+    camera = rigs.pinhole(pose={"origin_mm": (0.0, 0.0, 200.0), "target_mm": (0.0, 0.0, 0.0)})
+    found = Screen.model_validate(narrow)
+    seen = Pinhole.model_validate(camera).projection()
+    # A grid of 33 columns.
+    assert found.hidden_share(seen, floor_mm=-1.0) == pytest.approx(share, abs=2 / 33)
+    if share:
+        with pytest.raises(ValueError, match=r"hides .* of the camera's view"):
+            rigs.scene(camera, narrow, objects=rigs.plane("mirror"), patterns=BOTH)
 
 
 def test_mixed_rigs_and_impossible_screens_are_refused() -> None:
