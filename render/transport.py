@@ -138,8 +138,8 @@ class Transport(Displayed):
 
     def _planes(self) -> list[PreviewPlane]:
         return [
-            PreviewPlane(f"Projector {p}: {basis.channels[0].name}", "W/(m² sr)", self.total[p, 0])
-            for p, basis in enumerate(self.bases)
+            PreviewPlane(f"Light of projector {p}", "W/(m² sr)", self.total[p, 0])
+            for p in range(len(self.bases))
         ]
 
     def frames(self, projector: int = 0, direct_only: bool = False) -> NDArray[np.float32]:

@@ -101,7 +101,7 @@ class Score(Displayed):
             axes.bar(at + offset, heights, 0.4, label=label)
         axes.set_xticks(at, list(self.regions), fontsize=8)
         axes.set_ylabel("height error (µm)")
-        axes.legend()
+        figure.legend(loc="outside upper right", ncols=2, fontsize=8)
         return figure
 
     def to_dict(self) -> dict[str, Any]:

@@ -58,9 +58,7 @@ class Truth(Displayed):
     def _planes(self) -> list[PreviewPlane]:
         return [
             PreviewPlane("True height", "mm", self.height_mm),
-            PreviewPlane(
-                "Label", "index", np.where(self.label > 0, self.label.astype(float), np.nan)
-            ),
+            PreviewPlane("Label", "", self.label, self.labels),
         ]
 
     @property

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 # Images of a notebook have at most so many pixels a side.
 THUMB_PX = 300
+# Colour of pixels without a value.
+NOTHING = "#bbbbbb"
 
 
 class PreviewPlane(NamedTuple):
@@ -23,6 +25,8 @@ class PreviewPlane(NamedTuple):
     unit: str
     values: NDArray[Any]
     """(row, col)."""
+    names: Sequence[str] = ()
+    """What the whole numbers from 1 mean, where `values` are labels; 0 is nothing."""
 
 
 class Displayed:
@@ -70,6 +74,7 @@ class Displayed:
         Figure
             A Matplotlib figure; save it with `savefig`.
         """
+        from matplotlib import colormaps
         from matplotlib.figure import Figure
 
         planes = self._planes()
@@ -81,15 +86,23 @@ class Displayed:
             shown = np.asarray(plane.values[::step, ::step], dtype=np.float32)
             finite = shown[np.isfinite(shown)]
             low, high = np.percentile(finite, [0.5, 99.5]) if finite.size else (0.0, 1.0)
+            cmap = colormaps["gray" if plane.unit == "DN" else "viridis"]
+            if plane.names:
+                shown = np.where(shown > 0, shown, np.nan)
+                low, high = 0.5, len(plane.names) + 0.5
+                cmap = cmap.resampled(len(plane.names))
             rows, columns = plane.values.shape
             image = axes.imshow(
                 shown,
                 vmin=low,
                 vmax=high if high > low else low + 1.0,
-                cmap="gray" if plane.unit == "DN" else "viridis",
+                cmap=cmap,
                 extent=(0, columns, rows, 0),
             )
-            figure.colorbar(image, ax=axes, label=plane.unit, shrink=0.8)
+            axes.set_facecolor(NOTHING)
+            bar = figure.colorbar(image, ax=axes, label=plane.unit, shrink=0.8)
+            if plane.names:
+                bar.set_ticks(range(1, len(plane.names) + 1), labels=plane.names)
             axes.set_title(plane.title, fontsize=9)
             axes.tick_params(labelsize=7)
         return figure

@@ -59,6 +59,13 @@ def test_api_page_has_every_public_name(site: Path, room: str) -> None:
 
 
 @pytest.mark.slow
+def test_front_page_opens_with_a_picture_and_the_table_that_matters(site: Path) -> None:
+    page = (site / "index.html").read_text("utf-8")
+    picture, table = page.index("front.webp"), page.index("saturation ignored")
+    assert picture < table < page.index("three uses")
+
+
+@pytest.mark.slow
 def test_site_fetches_nothing_from_outside(site: Path) -> None:
     for page in site.rglob("*.html"):
         assert not LOADED.search(page.read_text("utf-8")), page.name

@@ -48,6 +48,12 @@ def test_html_has_facts_and_the_picture_that_plot_draws(results: dict[str, Any],
     assert len(html) < 500_000
 
 
+def test_labels_are_shown_by_name(results: dict[str, Any]) -> None:
+    truth = results["Truth"]
+    shown = [text.get_text() for axes in truth.plot().axes for text in axes.get_yticklabels()]
+    assert set(truth.labels) <= set(shown)
+
+
 def test_text_in_html_is_escaped(results: dict[str, Any]) -> None:
     from dataclasses import replace
 

@@ -74,12 +74,20 @@ def test_pixel_is_chosen_by_mouse_and_by_keyboard(tab: Any, tmp_path: Path) -> N
     tab.wait_for_function(
         "() => document.querySelector('.pixel table').innerText.includes('(8, 6)')"
     )
+    cursors = "() => [...document.querySelectorAll('canvas')].map((map) => map.toDataURL())"
+    before = tab.evaluate(cursors)
+    # Height, first frame, reasons.
+    assert len(before) == 3
     canvas = tab.locator("canvas").first
     box = canvas.bounding_box()
     canvas.click(position={"x": box["width"] * 2.5 / 16, "y": box["height"] * 3.5 / 12})
     tab.wait_for_function(
         "() => document.querySelector('.pixel table').innerText.includes('(2, 3)')"
     )
+    # The cursors of all maps follow.
+    assert all(new != old for new, old in zip(tab.evaluate(cursors), before, strict=True))
+    # The click gave the map the keyboard.
+    assert tab.evaluate("() => document.activeElement.tagName") == "CANVAS"
     canvas.press("ArrowRight")
     canvas.press("ArrowDown")
     tab.wait_for_function(

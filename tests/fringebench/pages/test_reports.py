@@ -107,10 +107,10 @@ def test_surface_turns_by_keyboard_and_shows_the_pixel_under_the_pointer(page: A
 @pytest.mark.slow
 def test_keyboard_reaches_links_tables_buttons_and_the_listing(page: Any) -> None:
     reached = set()
-    for _ in range(60):
+    for _ in range(80):
         page.keyboard.press("Tab")
         reached.add(page.evaluate("() => document.activeElement.tagName"))
-    assert {"A", "BUTTON", "DIV", "SUMMARY"} <= reached
+    assert {"A", "BUTTON", "CANVAS", "DIV", "INPUT", "SELECT", "SUMMARY"} <= reached
 
 
 @pytest.mark.slow
