@@ -19,7 +19,11 @@ from fringebench.datasets.manifest import MANIFEST_FILE, Manifest
 from fringebench.datasets.sample import FileSum, Record, checksum
 from fringebench.datasets.store import Store, open_store
 from fringebench.datasets.verification import Problem, problems
-from scenes.support.errors import DatasetError
+from scenes.randomise import realise
+from scenes.support.errors import DatasetError, FringebenchError
+
+# Samples that are tried before a run that none of them can be drawn for is refused.
+TRIED = 8
 
 Progress = Callable[[int, int, int], None]
 """Called with samples done, samples failed, and samples in all."""
@@ -80,6 +84,8 @@ def build(
             old = DatasetPlan.loads(there.decode(errors="replace"), f"{where}/{PLAN_FILE}")
             plan.require_same(old, str(where))
             old.require_maker(mine)
+        if there is None:
+            _require_drawable(plan)
         if there is None or old != plan:
             store.write(PLAN_FILE, plan.dumps().encode())
         store.clear_staging()
@@ -104,6 +110,21 @@ def build(
             f"none of the {plan.count} samples could be made; sample 0: {ordered[0].reason}"
         )
     return Built(str(where), plan, ordered, len(missing), time.perf_counter() - start)
+
+
+def _require_drawable(plan: DatasetPlan) -> None:
+    """`DatasetError` if sample 0 cannot be drawn, nor those after it, which distinguishes a rare draw from a wrong plan."""
+    scene, reasons = plan.load_scene(), []
+    for index in range(min(plan.count, TRIED)):
+        try:
+            realise(scene, index, plan.seed, plan.light_of(index))
+        except FringebenchError as error:
+            reasons.append(str(error))
+        else:
+            return
+    raise DatasetError(
+        f"none of the first {len(reasons)} samples can be drawn, and nothing was written; sample 0: {reasons[0]}"
+    )
 
 
 def repair(

@@ -1,7 +1,7 @@
 """The plan of a data set: scene with distributions, seed, count and splits. ``dataset.toml``."""
 
-import hashlib
 import tomllib
+from functools import lru_cache
 from typing import Annotated, Any, Literal, Self
 
 import tomli_w
@@ -22,6 +22,9 @@ HEIGHTS = ("height.png", "reconstruction.exr")
 COLOUR = "colour.png"
 EVERY_FILE = (*ALWAYS, PICTURE, *HEIGHTS, COLOUR)
 SPLITS = {"train": 0.8, "val": 0.1, "test": 0.1}
+
+# The order of splits repeats after so many lights.
+BLOCK = 10_000
 
 SplitName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=32)]
 Share = Annotated[float, Field(gt=0.0, le=1.0)]
@@ -124,14 +127,11 @@ class DatasetPlan(Frozen):
         return index // self.variants
 
     def split_of(self, index: int) -> str:
-        """The split of a sample: by a hash of its light's number, so that neither seed nor count moves a sample."""
-        digest = hashlib.sha256(f"sample {self.light_of(index)}".encode()).digest()
-        left = int.from_bytes(digest[:8], "big") / 2.0**64
-        for name, share in self.splits.items():
-            left -= share
-            if left < 0.0:
-                return name
-        return next(reversed(self.splits))
+        """The split of a sample: by its light's number alone, so that neither seed nor count moves a sample.
+
+        Of the first n lights, each split has its share of n, to less than one light.
+        """
+        return _split_order(tuple(self.splits.items()))[self.light_of(index) % BLOCK]
 
     def require_same(self, other: "DatasetPlan", where: str) -> None:
         """`DatasetError` unless this plan continues the plan `other`, found at `where`."""
@@ -162,6 +162,18 @@ class DatasetPlan(Frozen):
                     f"the data set is made with {name} {version}, here is {mine.get(name) or 'none'}: samples would "
                     "differ in their last bits; use the same, or start another data set"
                 )
+
+
+@lru_cache(maxsize=8)
+def _split_order(splits: tuple[tuple[str, float], ...]) -> tuple[str, ...]:
+    """Split of each light of a block: always the one that is farthest below its share."""
+    taken = dict.fromkeys((name for name, _ in splits), 0)
+    order = []
+    for count in range(1, BLOCK + 1):
+        name = max(splits, key=lambda split: split[1] * count - taken[split[0]])[0]
+        taken[name] += 1
+        order.append(name)
+    return tuple(order)
 
 
 def _differing(old: Any, new: Any, at: str = "") -> list[str]:

@@ -70,12 +70,18 @@ def test_splits_are_disjoint_whole_and_in_order(undisturbed: Path) -> None:
     assert all(part == sorted(part) for part in parts)
 
 
-def test_splits_take_their_stated_shares(plan: DatasetPlan) -> None:
-    count = 20_000
-    seen = Counter(plan.split_of(index) for index in range(count))
-    for name, share in plan.splits.items():
-        # A binomial count; 5 sd is passed by chance once in two million.
-        assert abs(seen[name] - count * share) < 5 * np.sqrt(count * share * (1 - share))
+@pytest.mark.parametrize(
+    "splits", [{"train": 0.8, "val": 0.1, "test": 0.1}, {"a": 0.37, "b": 0.63}]
+)
+def test_splits_take_their_stated_shares_exactly(
+    plan: DatasetPlan, splits: dict[str, float]
+) -> None:
+    shared = plan.model_copy(update={"splits": splits, "variants": 1})
+    seen: Counter[str] = Counter()
+    for index in range(20_000):
+        seen[shared.split_of(index)] += 1
+        # Whatever the number of samples, no split is a whole one away from its share.
+        assert all(abs(seen[name] - (index + 1) * share) < 1 for name, share in splits.items())
 
 
 def test_sample_keeps_its_split_when_seed_or_count_change(plan: DatasetPlan) -> None:

@@ -61,6 +61,18 @@ def test_set_without_any_sample_is_an_error(scene_file: Path, tmp_path: Path) ->
         build(DatasetPlan.of(scene, 2), tmp_path / "set")
 
 
+def test_scene_of_which_no_sample_can_be_drawn_is_refused_before_anything_is_written(
+    tmp_path: Path,
+) -> None:
+    draws = {"projectors.0.gamma": {"kind": "uniform", "low": -3.0, "high": -2.0}}
+    scene = scenes.load("step", {"randomise": draws})
+    with pytest.raises(
+        DatasetError, match=r"nothing was written; sample 0: .*projectors\.0\.gamma"
+    ):
+        build(DatasetPlan.of(scene, 1000), tmp_path / "set")
+    assert [file for file in (tmp_path / "set").rglob("*") if file.name != ".lock"] == []
+
+
 def test_output_that_cannot_be_written_stops_the_run_at_once(
     plan: DatasetPlan, tmp_path: Path
 ) -> None:
