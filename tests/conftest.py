@@ -27,7 +27,7 @@ CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
 )
 # A page that takes longer hangs. It is no limit of speed: a loaded machine draws 3-D views in software.
-PATIENCE_MS = 300_000
+PAGE_TIMEOUT_MS = 300_000
 # No sandbox (CI runs as root), software WebGL, and none of the browser's own traffic.
 FLAGS = [
     "--no-sandbox",
@@ -65,7 +65,7 @@ def browser() -> Iterator[Any]:
     if CHROMIUM is None:
         pytest.skip("no Chromium on this machine (Debian: apt-get install chromium)")
     with playwright.sync_playwright() as driver:
-        chromium = driver.chromium.launch(executable_path=CHROMIUM, args=FLAGS, timeout=PATIENCE_MS)
+        chromium = driver.chromium.launch(executable_path=CHROMIUM, args=FLAGS, timeout=PAGE_TIMEOUT_MS)
         yield chromium
         chromium.close()
 
@@ -77,7 +77,7 @@ def tab(browser: Any) -> Iterator[Any]:
     `page.until(holds)` waits until something holds, however slow the machine is.
     """
     page = browser.new_page(viewport={"width": 1280, "height": 900})
-    page.set_default_timeout(PATIENCE_MS)
+    page.set_default_timeout(PAGE_TIMEOUT_MS)
     page.said = []
     page.on("console", lambda m: page.said.append(m.text) if m.type == "error" else None)
     page.on("pageerror", lambda e: page.said.append(str(e)))
@@ -89,8 +89,8 @@ def tab(browser: Any) -> Iterator[Any]:
 
 def wait_until(page: Any, holds: Callable[[], bool]) -> None:
     """Ask again and again, while the page goes on."""
-    for _ in range(PATIENCE_MS // 200):
+    for _ in range(PAGE_TIMEOUT_MS // 200):
         if holds():
             return
         page.wait_for_timeout(200)
-    raise AssertionError(f"still not so after {PATIENCE_MS / 1000:.0f} s")
+    raise AssertionError(f"still not so after {PAGE_TIMEOUT_MS / 1000:.0f} s")
