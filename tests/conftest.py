@@ -65,7 +65,9 @@ def browser() -> Iterator[Any]:
     if CHROMIUM is None:
         pytest.skip("no Chromium on this machine (Debian: apt-get install chromium)")
     with playwright.sync_playwright() as driver:
-        chromium = driver.chromium.launch(executable_path=CHROMIUM, args=FLAGS, timeout=PAGE_TIMEOUT_MS)
+        chromium = driver.chromium.launch(
+            executable_path=CHROMIUM, args=FLAGS, timeout=PAGE_TIMEOUT_MS
+        )
         yield chromium
         chromium.close()
 

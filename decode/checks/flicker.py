@@ -201,7 +201,7 @@ def flicker_findings(stack: Stack, projector: int = 0, axis: Axis = "column") ->
             elif verdict != "ok":
                 said += (
                     f"; if it does as in the other fringes, orders are wrong by up to {ratio * max(bends) / TURN:.2f} periods of "
-                    f"{finer.period_px:g} px, which --equalise cannot mend: take the frames again with a steady source"
+                    f"{finer.period_px:g} px, which --equalise cannot correct: take the frames again with a steady source"
                 )
                 yield Finding(name, verdict, said)
             continue
