@@ -14,9 +14,11 @@ from render.exposure_time import exposure_times_ms
 from render.laser_speckle import speckled
 from render.motion import conveyed, height_slope
 from render.projector.pattern_span import channel_weights, plane_weights
-from render.sensor_stages import Floats, LineNoise, Noise, digital_numbers, fixed_pattern
+from render.rolling_shutter import Rows, Seen, pictures_seen
+from render.rolling_shutter import radiance as rolled_radiance
+from render.sensor_stages import LineNoise, Noise, digital_numbers, fixed_pattern
 from render.transport import Transport
-from render.unsteady_light import STEADY, Moment, is_steady, moment
+from render.unsteady_light import STEADY, is_steady
 from scenes.acquisition.patterns import Patterns
 from scenes.acquisition.sensor import Sensor
 from scenes.files.stack import Stack
@@ -137,23 +139,14 @@ def expose(
         f"{shape[0]} exposures of {shape[1]} frames of {width} x {height} pixels",
         "take fewer exposures at a time, or a smaller camera.resolution",
     )
-    # Both cameras of a pair take a picture at one moment.
-    moments = [
-        [
-            STEADY if still else moment(scene, seed, e, f, projector, time_ms, random=not steady)
-            for e, time_ms in enumerate(times_ms)
-        ]
-        for f, (projector, _) in enumerate(shown)
-    ]
     planes = [
         w
         for p in range(0 if still else len(scene.projectors))
         for w in plane_weights(transport, p, scene.patterns)
     ]
-    weights = [
-        [np.asarray(now.shares) @ planes[f] if now.shares else row for now in moments[f]]
-        for f, (_, row) in enumerate(shown)
-    ]
+
+    # Both cameras of a pair take a picture at one moment.
+    seen, rolled = pictures_seen(scene, seed, times_ms, shown, planes, still, not steady)
     projectors = [projector for projector, _ in shown]
     for number, view in enumerate(views):
         own = seed + number * SECOND_CHIP
@@ -177,12 +170,11 @@ def expose(
             frames[:, number * len(shown) : (number + 1) * len(shown)],
             at_work(view),
             pictures,
-            projectors,
-            weights,
+            seen,
+            rolled,
             times_ms,
             scene.sensor,
             (own, chip_seed + number * SECOND_CHIP) if noise else None,
-            moments,
             _shared(progress, number, len(views)),
         )
     return Stack(
@@ -208,18 +200,17 @@ def _fill(
     frames: NDArray[Any],
     image: Image,
     pictures: Iterator[Image] | None,
-    projectors: Sequence[int],
-    weights: Sequence[Sequence[Floats]],
+    seen: Sequence[Sequence[Seen]],
+    rolled: Sequence[Sequence[Rows]],
     times_ms: Sequence[float],
     sensor: Sensor,
     seeds: tuple[int, int] | None,
-    moments: Sequence[Sequence[Moment]],
     progress: Callable[[float], None] | None,
 ) -> None:
     """Write digital numbers into `frames` (exposure, frame, pixel).
 
-    `pictures` are those of a moving scene, exposure by exposure of each frame; `projectors` are (frame,), `weights` (frame, exposure) of channels, `moments` (frame, exposure); `seeds` are (noise, chip),
-    None for no noise.
+    `pictures` are those of a moving scene, exposure by exposure of each frame; `seen` is what each picture (frame,
+    exposure) sees, and `rolled` its rows, empty where all see the same; `seeds` are (noise, chip), None for no noise.
     """
     count = image.ambient.size
     chip = None if seeds is None else fixed_pattern(sensor, seeds[1], image.shape)
@@ -233,16 +224,20 @@ def _fill(
         here = [next(pictures, None) if pictures else image for _ in times_ms]
         for start in range(0, count, BLOCK):
             pixels = slice(start, min(start + BLOCK, count))
-            projector, rows = projectors[frame], weights[frame]
-            calm = image.radiance(projector, rows[0], pixels)
+            first = seen[frame][0]
+            calm = image.radiance(first.projector, first.weights, pixels)
             for e, (time_ms, stream) in enumerate(zip(times_ms, streams, strict=True)):
                 line = lines[e]
-                now = moments[frame][e]
-                seen = here[e]
-                if seen is None:
+                now = seen[frame][e]
+                there = here[e]
+                if there is None:
                     raise RenderError("moved has fewer lights than pictures: give one for each")
-                steady = seen is image and now == STEADY
-                radiance = calm if steady else seen.radiance(projector, rows[e], pixels, now)
+                if rolled:
+                    radiance = rolled_radiance(there, rolled[frame][e], pixels)
+                elif there is image and now.moment == STEADY:
+                    radiance = calm
+                else:
+                    radiance = there.radiance(now.projector, now.weights, pixels, now.moment)
                 frames[e, frame, pixels] = digital_numbers(
                     radiance,
                     time_ms,
@@ -257,10 +252,10 @@ def _fill(
         try:
             # A moving scene is traced as its pictures are taken, in their order.
             run = map if pictures else pool.map
-            for done, _ in enumerate(run(take, range(len(projectors))), 1):
+            for done, _ in enumerate(run(take, range(len(seen))), 1):
                 mapped.release_pages(frames)
                 if progress:
-                    progress(done / len(projectors))
+                    progress(done / len(seen))
         except BaseException:
             # After an interrupt the remaining frames are not needed.
             pool.shutdown(cancel_futures=True)

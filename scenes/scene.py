@@ -107,7 +107,7 @@ class Exposures(Frozen):
 
 
 class Acquisition(Frozen):
-    """What pictures cost on the machine: `fringebench compare --budget cycle-time` charges it."""
+    """What pictures cost on the machine: `fringebench compare --budget cycle-time` charges it. A rolling shutter depends on it, too."""
 
     overhead_ms: NonNegativeFloat = 5.0
     """Time of a frame besides its exposure: readout of the camera, switch of the pattern, refresh of the projector."""

@@ -37,10 +37,12 @@ CAUSES = (
     "speckle",
     "bit-planes",
     "conveyor",
+    "rolling-shutter",
 )
 # Causes that are in traced light, and causes that differ from picture to picture.
 OPTICAL = frozenset(CAUSES[4:6] + CAUSES[7:11])
 RANDOM = frozenset({"noise", "vibration", "source", "speckle", "bit-planes", "conveyor"})
+EXPOSED = RANDOM | {"rolling-shutter"}
 # Electrons; a full well that no light fills.
 BOTTOMLESS_E = 1e12
 
@@ -54,7 +56,7 @@ def budget(
     ``saturation`` (clipping; without it the longest exposure is used everywhere, so it interacts with noise),
     ``interreflection`` (light that met more than one surface), ``psf`` (the camera's blur), ``vibration`` (of the scene),
     ``source`` (fluctuation of the projectors, flicker of ambient light), ``speckle`` (of coherent projectors), ``defocus`` (lenses of camera and projectors),
-    ``bit-planes`` (of micromirror devices, where an exposure is no whole number of frames), ``conveyor`` (motion along x and y), ``footprint`` (the width of a pixel; without it only the ray of its centre counts), ``projector-pixels`` (squares, gaps
+    ``bit-planes`` (of micromirror devices, where an exposure is no whole number of frames), ``conveyor`` (motion along x and y), ``rolling-shutter`` (rows that see the next pattern), ``footprint`` (the width of a pixel; without it only the ray of its centre counts), ``projector-pixels`` (squares, gaps
     and blur of the projector), ``gamma`` and ``projector-quantisation`` (its tone curve and bits) and ``vignetting`` (of all
     devices). The sensor's non-linearity counts as saturation. Causes that the scene does not have are left out. Exposure
     times are always those of the complete scene. `choices` are options of `decode.reconstruct`.
@@ -154,11 +156,15 @@ def without_causes(scene: scenes.Scene, off: Causes) -> scenes.Scene:
     ambient = scene.ambient
     if "source" in off:
         ambient = ambient.model_copy(update={"flicker_depth": 0.0})
+    sensor = scene.sensor
+    if "rolling-shutter" in off and isinstance(sensor, Emva) and sensor.row_time_us:
+        sensor = sensor.model_copy(update={"row_time_us": 0.0})
     return scene.model_copy(
         update={
             "camera": scene.camera.model_copy(update=changes(devices)),
             "projectors": tuple(projectors),
             "ambient": ambient,
+            "sensor": sensor,
             "vibration_um": 0.0 if "vibration" in off else scene.vibration_um,
             "conveyor_um": (0.0, 0.0) if "conveyor" in off else scene.conveyor_um,
         }
@@ -182,7 +188,7 @@ def _expose(
     seed: int,
 ) -> scenes.Stack:
     scene = transport.scene
-    scene = without_causes(scene, RANDOM - on)
+    scene = without_causes(scene, EXPOSED - on)
     transport, sensor = replace(transport, scene=scene), scene.sensor
     if "psf" not in on:
         sensor = without_blur(sensor)

@@ -127,7 +127,10 @@ def pad_budget(
     depth = scene.sampling.depth
     lights: dict[frozenset[str], render.Transport] = {}
 
-    optics = frozenset({"metal", "grains", "interreflection", *DEVICES}) - {"psf"}
+    optics = frozenset({"metal", "grains", "interreflection", *DEVICES}) - {
+        "psf",
+        "rolling-shutter",
+    }
 
     def errors(*causes: str, scatter_mm: NDArray[np.float32] | None = None) -> PadErrors:
         on = frozenset(causes)
@@ -137,11 +140,11 @@ def pad_budget(
             with steps.step("trace light: " + (", ".join(sorted(optical)) or "ideal")) as done:
                 lights[optical] = render.trace(variant, seed=seed, progress=done)
         with steps.step("measure"):
-            lens = None if "psf" in on else without_blur(scene.sensor)
+            sensor = without_causes(scene, frozenset({"rolling-shutter"}) - on).sensor
             stack = render.expose(
                 lights[optical],
                 seed=seed,
-                sensor=lens,
+                sensor=sensor if "psf" in on else without_blur(sensor),
                 noise="noise" in on,
                 steady=not on & RANDOM & set(DEVICES),
             )

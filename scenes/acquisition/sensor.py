@@ -182,6 +182,8 @@ class Emva(Digitiser):
     """Blur of the lens: that of a perfect lens of `f_number` at `wavelength_nm`, or none."""
     psf_sigma_um: NonNegativeFloat = 0.0
     """Standard deviation on the chip of a Gaussian blur on top of `psf`: aberrations, cross-talk between pixels."""
+    row_time_us: NonNegativeFloat = 0.0
+    """Rolling shutter: each row's exposure begins so much later than that of the row above; 0: all begin together."""
 
     @model_validator(mode="after")
     def _curve_rises(self) -> Self:

@@ -38,6 +38,9 @@ from tests.render.test_point_spread import (
 from tests.render.test_point_spread import (
     test_encircled_energy_is_that_of_an_airy_disc as test_encircled_energy,
 )
+from tests.render.test_rolling_shutter import (
+    test_rows_meet_the_bit_planes_of_their_own_time as test_rolling_shutter,
+)
 from tests.render.test_unsteady_light import QUIET, phase, plain
 from tests.render.test_unsteady_light import (
     test_light_of_a_source_fluctuates_from_picture_to_picture as test_fluctuation,
@@ -50,7 +53,7 @@ pytestmark = pytest.mark.trust
 # Closed forms that every run checks are part of this suite, too.
 __all__ = [
     "test_bit_planes", "test_conveyor", "test_encircled_energy", "test_fluctuation", "test_illumination_map",
-    "test_image_borders",
+    "test_image_borders", "test_rolling_shutter",
 ]  # fmt: skip
 
 

@@ -169,7 +169,24 @@ def test_ignored_saturation_is_attributed_to_saturation() -> None:
     assert 0.07 < rms(clipped.alone_mm2) < 0.12
 
 
+def test_rows_that_see_the_next_pattern_have_a_row_of_their_own() -> None:
+    """Where every row sees the next of four patterns for a share s, phases turn by up to about s: more, the later the row."""
+    shutter = {
+        "sensor": {"kind": "emva1288", "psf": "none", "row_time_us": 40.0, "read_noise_e": 0.0}
+    }
+    few = {**SMALL, **shutter, "camera.resolution": [60, 45], "sampling.depth": 1, "exposures": {"times_ms": [2.0]}}  # fmt: skip
+    found = {}
+    for overhead_ms in (0.0, 5.0):
+        scene = scenes.load("step", {**few, "acquisition.overhead_ms": overhead_ms})
+        budgeted = budget(scene, repeats=1)
+        assert "rolling-shutter" not in budgeted.absent
+        found[overhead_ms] = budgeted.regions["base"].causes["rolling-shutter"].alone_mm2 or 0.0
+    # 45 rows take 1.8 ms: less than the overhead of 5 ms, before which no pattern changes.
+    assert found[5.0] == 0.0
+    assert found[0.0] > (10e-3) ** 2
+
+
 def test_zero_repeats_are_refused() -> None:
     with pytest.raises(FringebenchError, match="repeats"):
         budget(scenes.load("step"), repeats=0)
-    assert len(set(CAUSES)) == len(CAUSES) == 16
+    assert len(set(CAUSES)) == len(CAUSES) == 17
