@@ -240,6 +240,9 @@ def test_coding_is_shown_at_the_references_exposures(strategy: Strategy) -> None
     frames = got.shot.patterns.frames()
     fine = min(f.carrier_px or f.period_px for f in frames if f.kind not in ("gray", "xor"))
     assert 14.0 <= fine <= 16.0
+    # Gupta & Nayar: two frames more than frequencies, of which there are five; Moreno et al.: three, two and two shifts.
+    known = {"heterodyne": 3 * 4, "micro-phase-shift": 5 + 2, "embedded-phase-shift": 3 + 2 + 2}
+    assert len(frames) == known.get(strategy.name, len(frames))
 
 
 def test_unknown_strategy_is_refused_with_a_hint() -> None:
