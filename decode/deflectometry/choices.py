@@ -9,10 +9,13 @@ HEIGHTS = ("two-positions", "integration")
 
 def require_projectors(options: Options) -> None:
     """`DecodeError` for choices that only a screen offers."""
-    if options.height in HEIGHTS or options.known_point is not None:
+    screen = f"height='{options.height}'" if options.height in HEIGHTS else ""
+    if options.known_point is not None:
+        screen = "known_point"
+    if screen:
         raise DecodeError(
-            f"height='{options.height}' and known_point measure what mirrors a screen, and the stack's calibration has none: use "
-            "triangulation, reference-plane, linear or phase"
+            f"{screen} is for what mirrors a screen, and the stack's calibration has none: leave it out, or use height triangulation, "
+            "reference-plane, linear or phase"
         )
 
 
@@ -30,6 +33,10 @@ def height_by(stack: Stack, options: Options) -> str:
             raise DecodeError(
                 f"{name} is given, but the rig has a screen, whose columns and rows give slopes together: leave it out"
             )
+    if options.matcher is not None:
+        raise DecodeError(
+            f"matcher='{options.matcher}' is for two cameras, and the rig has a screen: leave it out"
+        )
     if options.uncertainty != "sensor":
         raise DecodeError(
             f"uncertainty='{options.uncertainty}' is for projectors, and the rig has a screen: leave it out"

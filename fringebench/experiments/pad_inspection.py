@@ -79,11 +79,10 @@ def inspect_stack(
     **choices: Any,
 ) -> Inspection:
     """Decode and measure the frames of a scene's board, see `inspect`."""
+    printed = _require_board(scene)
     board = scenes.board_truth(scene)
     measured = measure_pads(decode.reconstruct(stack, **choices), board, threshold_mm=threshold_mm)
-    shares = [
-        volume for _, volume in threshold_shares(_require_board(scene), threshold_mm).values()
-    ]
+    shares = [volume for _, volume in threshold_shares(printed, threshold_mm).values()]
     return Inspection(
         scene,
         board,

@@ -153,6 +153,7 @@ def test_stack_of_a_matt_cap_alone_is_refused_with_the_reason() -> None:
         ({"projector": 0, "known_point": (999, 0, 1.0)}, "outside"),
         ({"projector": 0, "height": "two-positions"}, "this is one"),
         ({"uncertainty": "by-cause"}, "is for projectors"),
+        ({"matcher": "sgbm"}, "is for two cameras"),
     ],
 )
 def test_choices_that_make_no_sense_with_a_screen_are_refused(
@@ -166,7 +167,7 @@ def test_choices_that_make_no_sense_with_a_screen_are_refused(
 def test_screen_choices_and_triangulation_are_refused_with_the_other_rig() -> None:
     scene = scenes.load("step", {"camera.resolution": [32, 24]})
     stack = render.expose(render.trace(scene, samples=2, depth=1))
-    with pytest.raises(DecodeError, match="mirrors a screen"):
+    with pytest.raises(DecodeError, match=r"height=.*mirrors a screen"):
         decode.reconstruct(stack, height="integration")
     expose, _ = traced("mirror-deflectometry", 160)
     own = expose(seed=0)
