@@ -50,7 +50,8 @@ class Image:
         kernel = spread_kernel(sensor, subpixels)
         if kernel is not None:
             patterns = transport.scene.patterns
-            light = blurred(light, kernel, [fringe_terms(b, patterns) for b in transport.bases])
+            terms = [fringe_terms(b, patterns) for b in transport.bases]
+            light = blurred(light, kernel, terms, subpixels)
             ambient = blurred(ambient, kernel)
         if subpixels > 1:
             light, ambient = binned(light, subpixels), binned(ambient, subpixels)

@@ -6,7 +6,7 @@ fringes keep the modulation of the mirror image, which never makes light negativ
 the border, by the same step from pixel to pixel.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ Images = NDArray[np.float32]
 
 # Kinds of frames that are sums of sinusoids.
 WAVES = ("fringe", "modulated")
-# Pixels that fringes are continued for. Beyond, a kernel has 0.3 % of its light, and over many fringes that is even.
+# Pixels of the sensor that fringes are continued for. Beyond, a kernel has 0.3 % of its light, and over many fringes that is even.
 MARGIN = 32
 # Steps of the phase at the border that are averaged. With more, edges near the border would disturb them.
 STEPS = 2
@@ -46,9 +46,9 @@ def fringe_terms(basis: Basis, patterns: Patterns) -> Complex:
     return np.array([row for row in terms if row.any()], np.complex128).reshape(-1, len(channels))
 
 
-def continued(images: Images, terms: Complex) -> Iterator[Images]:
+def continued(images: Images, terms: Complex, margins: tuple[int, int]) -> Iterator[Images]:
     """Each of one projector's images (channel, row, col) with `margins` beyond its borders; `terms` are its `fringe_terms`."""
-    down, across = margins(images.shape[1:])
+    down, across = margins
     left = _beyond(images[:, :, :across], terms)[:, :, ::-1]
     right = _beyond(images[:, :, ::-1][:, :, :across], terms)
 
@@ -64,9 +64,9 @@ def continued(images: Images, terms: Complex) -> Iterator[Images]:
         yield np.concatenate([above[channel], middle, below[channel]])
 
 
-def margins(shape: Sequence[int]) -> tuple[int, int]:
-    """Rows and columns that `continued` adds on each side of an image."""
-    return min(MARGIN, shape[0]), min(MARGIN, shape[1])
+def margins_of(rows: int, columns: int, subpixels: int) -> tuple[int, int]:
+    """Rows and columns to add on each side of an image with so many pixels along a side of the sensor's."""
+    return min(MARGIN * subpixels, rows), min(MARGIN * subpixels, columns)
 
 
 def _beyond(inside: Images, terms: Complex) -> Images:

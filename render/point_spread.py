@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from render.image_borders import Complex, continued, margins
+from render.image_borders import Complex, continued, margins_of
 from scenes.acquisition.sensor import Emva, Sensor
 from scenes.support import mapped
 
@@ -85,13 +85,13 @@ def keys_transfer(frequency: Floats) -> Floats:
 
 
 def blurred(
-    images: NDArray[np.float32], kernel: Floats, fringes: Sequence[Complex] = ()
+    images: NDArray[np.float32], kernel: Floats, fringes: Sequence[Complex] = (), subpixels: int = 1
 ) -> NDArray[np.float32]:
     """Images (..., row, col) convolved with the kernel of `spread_kernel`; a new array of the same shape.
 
     At its borders an image is continued by its mirror image, so that the sum over it, the photons, stays what it was. Of images
     (projector, channel, row, col), `fringes` are the `fringe_terms` of each projector; they continue with their phase instead
-    (`render.image_borders`): light that leaves is not what enters.
+    (`render.image_borders`): light that leaves is not what enters. `subpixels` are those of `spread_kernel`.
     """
     rows, columns = images.shape[-2:]
     what = f"blurred light of {columns} x {rows} pixels"
@@ -100,14 +100,15 @@ def blurred(
     )
     transfer = _transfer(images.shape[-2:], kernel)
     alone = set(np.ndindex(images.shape[:-2]))
+    down, across = margins_of(rows, columns, subpixels)
     for p, terms in enumerate(fringes):
         used = np.flatnonzero(np.any(terms != 0.0, axis=0))
         if not used.size:
             continue
-        down, across = margins(images.shape[-2:])
         inside = slice(down, down + rows), slice(across, across + columns)
         wider = _transfer((rows + 2 * down, columns + 2 * across), kernel)
-        for channel, wide in zip(used, continued(images[p, used], terms[:, used]), strict=True):
+        wider_images = continued(images[p, used], terms[:, used], (down, across))
+        for channel, wide in zip(used, wider_images, strict=True):
             result[p, channel] = _multiplied(wide, wider)[inside]
             alone.remove((p, int(channel)))
     for index in alone:
