@@ -1,4 +1,4 @@
-"""The range of a camera's digital numbers, seen in its frames: depth, saturation level, noise.
+"""The range of a camera's digital numbers, seen in its frames: depth, saturation level.
 
 Files do not say where a camera saturates: 12 bits stored at the upper end of 16 end at 65520, video levels at 235, a full
 well anywhere. Clipped samples accumulate at one highest digital number, which shows in two ways. Noise makes the
@@ -6,17 +6,15 @@ histogram of unclipped samples fall off at its upper end, while clipped ones giv
 a fringe set with shifts far apart cannot both reach the highest level, unless they are clipped.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import groupby
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.acquisition.fringe_fit import fringe_design, fringe_solution
 from scenes.acquisition.patterns import Frame
+from scenes.files.noise_estimate import noise_dn, set_members
 from scenes.support.errors import FileError
 from scenes.support.finding import Finding
 
@@ -38,11 +36,6 @@ SPREAD_LEVELS = 2
 MIN_LEVELS = 16
 # Change over the frames, in parts of the highest number, below which a pixel is defective.
 CONSTANT = 0.05
-# Mean |x| of the smaller nine tenths of Gaussian numbers, in standard deviations: sqrt(2/pi) (1 - exp(-a^2/2)) / 0.9 with
-# a = 1.645 the limit of those nine tenths.
-TRIMMED_MEAN = 0.6573
-FEWEST_PIXELS = 100
-MAX_PIXELS = 200_000
 
 
 @dataclass(frozen=True)
@@ -173,7 +166,7 @@ def _together(
 ) -> bool:
     """Whether two frames of a fringe set, far apart in phase, reach a level in the same pixels."""
     both = any_one = 0
-    for members in _sets(patterns):
+    for members in set_members(patterns):
         shifts = np.array([patterns[k].phase_shift_rad for k in members])
         apart = np.abs(np.angle(np.exp(1j * (shifts[:, None] - shifts)))) >= FAR_APART_RAD
         for exposure, works in zip(frames, working, strict=True):
@@ -184,111 +177,3 @@ def _together(
                 pairs |= at[i] & at[j]
             both += int(pairs.sum())
     return both >= MIN_SAMPLES and both > TOGETHER * any_one
-
-
-def _sets(patterns: Sequence[Frame]) -> Iterator[list[int]]:
-    """Indices of the frames of each fringe set."""
-
-    def key(k: int) -> tuple[int, int, str, float]:
-        frame = patterns[k]
-        return frame.camera, frame.projector, frame.axis, frame.period_px
-
-    fringes = sorted((k for k, f in enumerate(patterns) if f.kind == "fringe"), key=key)
-    for _, members in groupby(fringes, key=key):
-        yield list(members)
-
-
-def noise_dn(
-    frames: NDArray[Any],
-    saturation_dn: float = float("inf"),
-    step_dn: float = 1.0,
-    patterns: Sequence[Frame] = (),
-) -> float:
-    """Standard deviation in DN of the noise of frames (exposure, frame, row, col), from their roughness, or what a
-    sinusoid leaves of four steps or more; never below rounding noise.
-
-    Weights 1 -2 1 by 1 -2 1 cancel whatever is linear along a row or a column; the mean absolute value over the
-    brightest tenth of the pixels gives sigma (Immerkaer, CVIU 64, 300 (1996)), without the roughest tenth, which is
-    edges. Where less than a tenth of the image is lit, the lit pixels are used. Saturated samples are left out with
-    their neighbours.
-    """
-    every = max(1, frames.shape[1] // 6)
-    planes = [f for f in frames.reshape(-1, *frames.shape[2:])[::every] if min(f.shape) >= 3]
-    rough = [s for f in planes if (s := _roughness(f, saturation_dn)) is not None]
-    # Texture adds to the first, gamma and flicker to the second, narrow stripes to the third: the smallest is nearest.
-    found = (
-        rough,
-        list(_misfits(frames, patterns, saturation_dn)),
-        list(_untextured(frames[:, ::every], saturation_dn)),
-    )
-    sigmas = [float(np.median(s)) for s in found if s]
-    return float(max(min(sigmas, default=0.0), step_dn * np.sqrt(1.0 / 12.0)))
-
-
-def _misfits(
-    frames: NDArray[Any], patterns: Sequence[Frame], saturation_dn: float
-) -> Iterator[float]:
-    """Noise in DN of each fringe set of four steps or more: what a sinusoid leaves of the bright pixels' samples."""
-    every = max(1, int(np.sqrt(frames[0, 0].size / MAX_PIXELS)))
-    for members in _sets(patterns):
-        shifts = [patterns[k].phase_shift_rad for k in members]
-        solution = fringe_solution(shifts)
-        if solution is None or len(members) < 4:
-            continue
-        for exposure in frames:
-            samples = exposure[members][:, ::every, ::every].reshape(len(members), -1)
-            samples = samples[:, samples.max(axis=0) < saturation_dn].astype(np.float64)
-            if samples.shape[1] < FEWEST_PIXELS:
-                continue
-            level = samples.mean(axis=0)
-            samples = samples[:, level >= _bright(level)]
-            left = samples - fringe_design(shifts) @ (solution @ samples)
-            yield float(np.sqrt((left**2).sum(axis=0).mean() / (len(members) - 3)))
-
-
-def _untextured(frames: NDArray[Any], saturation_dn: float) -> Iterator[float]:
-    """Noise in DN of each exposure from what roughness is not shared by all frames in proportion to their light, as texture is."""
-    for exposure in frames:
-        if len(exposure) < 4 or min(exposure.shape[1:]) < 3:
-            continue
-        planes = [plane.astype(np.float32) for plane in exposure]
-        rough = np.stack([np.diff(np.diff(p, 2, axis=0), 2, axis=1) for p in planes])
-        light = np.stack([cv2.blur(p, (5, 5))[1:-1, 1:-1] for p in planes])
-        free = np.stack([cv2.dilate(p, np.ones((3, 3)))[1:-1, 1:-1] for p in planes]).max(axis=0)
-        free = free < saturation_dn
-        shared = (rough * light).sum(axis=0) / np.maximum((light**2).sum(axis=0), 1e-6)
-        left = np.abs(rough - shared * light)[:, free]
-        # Where all that the weights reach is lit.
-        level = cv2.erode(np.mean(planes, axis=0), np.ones((3, 3)))[1:-1, 1:-1][free]
-        if level.size < FEWEST_PIXELS:
-            continue
-        seen = left[:, level >= _bright(level)].ravel()
-        kept = np.sort(seen)[: max(1, int(0.9 * seen.size))]
-        share = np.sqrt(1.0 - 1.0 / len(planes))
-        yield float(kept.mean()) / (6.0 * TRIMMED_MEAN * share)
-
-
-def _bright(levels: NDArray[Any]) -> float:
-    """Level from which pixels are the brightest tenth, or lit where fewer than a tenth are."""
-    tenth, lit = np.percentile(levels, 90.0), 0.5 * np.percentile(levels, 99.9)
-    few = tenth < lit and (levels >= lit).sum() >= FEWEST_PIXELS
-    return float(lit if few else tenth)
-
-
-def _roughness(frame: NDArray[Any], saturation_dn: float) -> float | None:
-    """Noise of one frame in DN; None if too few pixels are unsaturated."""
-    plane = frame.astype(np.float32)
-    rough = np.abs(np.diff(np.diff(plane, 2, axis=0), 2, axis=1))
-    # Independent of the roughness, so that choosing bright pixels does not choose noisy ones.
-    centre = cv2.blur(plane, (3, 3))[1:-1, 1:-1]
-    if plane.max() >= saturation_dn:
-        clipped = plane >= saturation_dn
-        rows = clipped[:-2] | clipped[1:-1] | clipped[2:]
-        free = ~(rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:])
-        rough, centre = rough[free], centre[free]
-    if not centre.size:
-        return None
-    seen = rough[centre >= _bright(centre)]
-    kept = np.sort(seen)[: max(1, int(0.9 * seen.size))]
-    # The weights' squares sum to 36.
-    return float(kept.mean()) / (6.0 * TRIMMED_MEAN)

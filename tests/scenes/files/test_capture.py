@@ -13,7 +13,7 @@ from decode.checks.stack_check import check
 from scenes.acquisition.patterns import GrayCode, PhaseShift
 from scenes.files import images
 from scenes.files.capture import Capture
-from scenes.files.digital_range import noise_dn
+from scenes.files.noise_estimate import noise_dn
 from scenes.support.errors import FileError
 
 SHAPE = (12, 16)

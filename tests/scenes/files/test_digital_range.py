@@ -9,7 +9,8 @@ import pytest
 import decode
 from scenes.acquisition.patterns import Frame, GrayBits, PhaseShift
 from scenes.acquisition.sensor import SimpleSensor
-from scenes.files.digital_range import DigitalRange, noise_dn
+from scenes.files.digital_range import DigitalRange
+from scenes.files.noise_estimate import noise_dn
 from scenes.files.stack import Stack
 from scenes.support.errors import FileError
 
