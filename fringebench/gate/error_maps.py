@@ -122,13 +122,13 @@ def place(case: Case, region: str, values: Floats) -> str:
     >>> place(case, "ratio-0.90", values)
     'rows 5 to 8, columns 40 to 49'
     """
-    mask = region_of(case, region) & np.isfinite(values)
-    if not mask.any() or not values[mask].any():
-        return "throughout the region"
-    bad = mask & (values >= 0.5 * np.percentile(values[mask & (values > 0)], 99.0))
+    mask = region_of(case, region)
+    bad = mask & (values > 0.0)
+    # Without a value above 0 nowhere is worse than elsewhere.
+    bad = bad & (values >= 0.5 * np.percentile(values[bad], 99.0)) if bad.any() else mask
     # The middle 90 %: single pixels elsewhere do not stretch the place.
     rows, cols = (np.percentile(axis, [5, 95], method="nearest") for axis in np.nonzero(bad))
     around = [np.percentile(axis, [5, 95], method="nearest") for axis in np.nonzero(mask)]
-    if all(np.ptp(of) >= 0.8 * np.ptp(all_) for of, all_ in zip((rows, cols), around, strict=True)):
-        return "throughout the region"
-    return f"rows {rows[0]} to {rows[1]}, columns {cols[0]} to {cols[1]}"
+    whole = all(np.ptp(a) >= 0.8 * np.ptp(b) for a, b in zip((rows, cols), around, strict=True))
+    where = f"rows {rows[0]} to {rows[1]}, columns {cols[0]} to {cols[1]}"
+    return f"throughout the region, {where}" if whole else where

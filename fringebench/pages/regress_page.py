@@ -61,6 +61,8 @@ def _verdict(result: Regression) -> list[Block]:
         columns = ("region", "worst figure", "baseline → now", "allowed", "where", "failed too")
         cells = [_failure_cells(failure) for failure in failures]
         blocks.append(Grid(columns, cells, "What failed, and where: worst first", words=True))
+    if all(row.comparison.lower == row.comparison.upper == 0.0 for row in result.rows):
+        return [Paragraph("Every figure is exactly that of the baseline.")]
     ranked = sorted(result.rows, key=severity, reverse=True)
     blocks.append(
         Picture(

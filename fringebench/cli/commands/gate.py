@@ -131,6 +131,8 @@ def regress(
         print_json(result.to_dict())
     else:
         _print_regression(result, baseline)
+        if folder:
+            say(f"see {folder / 'report.html'}")
     if not result.passed:
         raise typer.Exit(1)
 

@@ -15,6 +15,7 @@ from fringebench.gate.baseline import Baseline
 from fringebench.gate.cases import CASES, Case, shipped_fingerprint, suite
 from fringebench.gate.decoders import resolve
 from fringebench.gate.regression_gate import SEEDS, regress
+from fringebench.pages.regress_page import regress_report
 from scenes import Stack
 from scenes.support.errors import DecoderError, FileError
 from tests.fringebench import faulty_decoders
@@ -119,6 +120,8 @@ def test_unchanged_decoder_differs_by_nothing_from_a_baseline_of_its_own_seeds(
     assert same.passed, same.describe()
     compared = {(row.comparison.difference, row.comparison.upper) for row in same.rows}
     assert compared == {(0.0, 0.0)}
+    page = regress_report(same, {}).html()
+    assert "Passed: none of" in page and "exactly that of the baseline" in page
     other = regress(honest, file, cases=sweep, seeds=range(4, 8), margins=narrow)
     assert {row.metric for row in other.failed} >= {"bias_mm", "systematic_mm"}
     # the answer for programs stays as it was

@@ -117,6 +117,7 @@ def test_page_fits_a_narrow_screen_and_has_no_empty_figures(
     assert min(sizes) > 10_000
     tab.set_viewport_size({"width": 360, "height": 700})
     assert tab.evaluate("() => document.documentElement.scrollWidth - window.innerWidth") <= 0
+    assert tab.evaluate(BROKEN_WORDS) == []
     tab.set_viewport_size({"width": 1400, "height": 900})
     # No table is clipped on a wide screen.
     tab.until(lambda: tab.locator(".hint:visible").count() == 0)
@@ -124,6 +125,16 @@ def test_page_fits_a_narrow_screen_and_has_no_empty_figures(
     assert tab.said == []
 
 
+# Short words that a cell breaks into several lines.
+BROKEN_WORDS = """() => [...document.querySelectorAll("td, th")].flatMap((cell) => {
+  const text = cell.firstChild, range = document.createRange();
+  if (text?.nodeType !== Node.TEXT_NODE) { return []; }
+  return [...text.data.matchAll(/[a-z]{3,12}/g)].filter((word) => {
+    range.setStart(text, word.index);
+    range.setEnd(text, word.index + word[0].length);
+    return range.getClientRects().length > 1;
+  }).map((word) => word[0]);
+})"""
 # For each row of figures: by how much its empty space on the left differs from that on the right, px.
 LOPSIDED = """() => [...document.querySelectorAll(".figures")].flatMap((box) => {
   const rows = {}, around = box.getBoundingClientRect();
