@@ -139,9 +139,10 @@ def _regions(
     light: render.Transport, case: Case, render_noise: float
 ) -> list[tuple[NDArray[np.bool_], float]]:
     """Pixels (row, col) whose noise is compared, and what was asked for there in rad: those of each label, or all."""
-    truth, sensor = render.truth(light.scene, light), sensor_noise(light)
+    truth = render.truth(light.scene, light)
+    sensor = sensor_noise(light, truth.lit_by)
     assert sensor is not None
-    counted = truth.lit & np.isfinite(sensor.phase_rad)
+    counted = np.isfinite(sensor.phase_rad)
     if case.statistic == P95:
         return [(counted, 0.0)]
     labels = [counted & truth.region(label) for label in case.labels or light.labels]

@@ -8,7 +8,7 @@ neighbour's phase differs, its noise along becomes noise across. As a complex nu
 ``E|d|^2 = along + across`` and ``E d^2 = (along - across) exp(2 i phi)``; both add up.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,39 +36,53 @@ class SensorNoise:
     """What the sensor adds to the phase that measures height, with the longest exposure that saturates no frame."""
 
     phase_rad: Floats
-    """(row, col) standard deviation, of the projector that has the smallest; NaN where none can be measured."""
+    """(row, col) standard deviation, of the projector that has the smallest; NaN where none can measure it."""
     projector: NDArray[np.intp]
     """(row, col) number of that projector."""
     fringe: tuple[int, ...]
     """Of each projector, the number of its measuring axis among `finest_fringes`."""
 
 
-def sensor_noise(transport: Transport, slack: float = 1.0) -> SensorNoise | None:
+def sensor_noise(transport: Transport, lit: Mask | None = None) -> SensorNoise | None:
     """Noise of the scene's own sensor and exposures on this light; None for patterns without fringes.
 
-    `slack` above 1 also takes in pixels that miss the decoder's limits by that factor.
+    `lit` says which pixels each projector lights, (projector, row, col); only these it measures. None: all of them.
 
     Raises `RenderError` where the exposure time cannot be found.
     """
+    return next(iter(sensor_noises(transport, (1.0,), lit)), None)
+
+
+def sensor_noises(
+    transport: Transport, slacks: Sequence[float], lit: Mask | None = None
+) -> list[SensorNoise]:
+    """`sensor_noise` with each slack: above 1 also for pixels that miss the decoder's limits by that factor; none without
+    fringes."""
     fringes = finest_fringes(transport.scene.patterns, transport.bases)
     if not fringes:
-        return None
+        return []
     image = Image.of(transport, transport.scene.sensor)
     scene = transport.scene
     shown = [(p, row) for p, basis in enumerate(transport.bases) for row in basis.weights]
     times = exposure_times_ms(image, transport.labels, shown, scene.exposures, scene.sensor)
     axes = [fringe.axis for fringe in fringes]
     measuring = tuple(measuring_axis(transport.scene, axes, p) for p in range(len(transport.bases)))
-    noise = np.stack(
+    noises = np.stack(
         [
-            _phase_noise(transport, image, p, fringes[f], times, slack)
+            _phase_noise(transport, image, p, fringes[f], times, slacks)
             for p, f in enumerate(measuring)
-        ]
+        ],
+        axis=1,
     )
-    best = np.argmin(noise, axis=0)
-    smallest = np.take_along_axis(noise, best[None], axis=0)[0]
-    smallest[~(smallest < slack * MOST_SENSOR_NOISE_RAD)] = np.nan
-    return SensorNoise(smallest, best, measuring)
+    found = []
+    for slack, noise in zip(slacks, noises, strict=True):
+        if lit is not None:
+            noise[~lit] = np.inf
+        best = np.argmin(noise, axis=0)
+        smallest = np.take_along_axis(noise, best[None], axis=0)[0]
+        smallest[~(smallest < slack * MOST_SENSOR_NOISE_RAD)] = np.nan
+        found.append(SensorNoise(smallest, best, measuring))
+    return found
 
 
 def _phase_noise(
@@ -77,23 +91,24 @@ def _phase_noise(
     projector: int,
     fringe: FinestFringe,
     times_ms: tuple[float, ...],
-    slack: float,
+    slacks: Sequence[float],
 ) -> Floats:
-    """(row, col) standard deviation of one projector's phase, rad; infinite where it cannot be measured."""
+    """(slack, row, col) standard deviation of one projector's phase, rad; infinite where it cannot be measured."""
     sensor = transport.scene.sensor
     basis = transport.bases[projector]
     weights = basis.weights[list(fringe.frames)]
     channels = image.light[projector, : len(basis.channels)]
     radiance = np.einsum("fc,c...->f...", weights.astype(np.float32), channels) + image.ambient
-    result = np.full(image.ambient.shape, np.inf)
+    result = np.full((len(slacks), *image.ambient.shape), np.inf)
     cosine, sine = fringe.phasor(channels, projector)
     modulation = np.hypot(cosine, sine)
     shows = modulation > 0.0
     if not shows.any():
         return result
-    shows &= modulation >= STRAY_FRACTION / slack * np.median(modulation[shows])
+    typical = np.median(modulation[shows])
+    shows &= modulation >= STRAY_FRACTION / max(slacks) * typical
     cosine, sine, modulation = cosine[shows], sine[shows], modulation[shows]
-    found = np.full(modulation.shape, np.inf)
+    found = np.full((len(slacks), modulation.size), np.inf)
     radiance = radiance[:, shows].astype(np.float64)
     # d phase / d sample, times the modulation.
     along = (
@@ -104,24 +119,29 @@ def _phase_noise(
         gain = float(sensor.mean_dn(1.0, time_ms) - sensor.mean_dn(0.0, time_ms))
         variance = (along**2 * sensor.variance_dn2(mean, time_ms)).sum(axis=0)
         noise = np.sqrt(variance) / (gain * modulation)
-        most = sensor.saturation_dn * (1.0 if number else 1.0 + SATURATION_SLACK * (slack - 1.0))
-        good = mean.max(axis=0) < most
-        found[good] = noise[good]
-    result[shows] = found
+        brightest = mean.max(axis=0)
+        for own, slack in zip(found, slacks, strict=True):
+            most = sensor.saturation_dn * (
+                1.0 if number else 1.0 + SATURATION_SLACK * (slack - 1.0)
+            )
+            good = (brightest < most) & (modulation >= STRAY_FRACTION / slack * typical)
+            own[good] = noise[good]
+    result[:, shows] = found
     return result
 
 
 def render_to_sensor_noise(transport: Transport, lit: NDArray[np.bool_]) -> Mapping[str, float]:
-    """Root mean square of the light paths' noise over that of the sensor, by label, over `lit` pixels (row, col).
+    """Root mean square of the light paths' noise over that of the sensor, by label, over pixels of `lit`, which says what
+    each projector lights, (projector, row, col).
 
     Labels without a pixel that can be measured are left out, as is everything if the noise of light is not known.
     """
-    noise = None if transport.noise_rad is None else sensor_noise(transport)
+    noise = None if transport.noise_rad is None else sensor_noise(transport, lit)
     if noise is None:
         return {}
     assert transport.noise_rad is not None
     own = chosen(on_chip(transport), noise)
-    known = lit & np.isfinite(noise.phase_rad) & np.isfinite(own)
+    known = np.isfinite(noise.phase_rad) & np.isfinite(own)
     ratios = {}
     for number, label in enumerate(transport.labels, 1):
         at = known & (transport.label == number)

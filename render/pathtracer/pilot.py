@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from render.fringe_phasor import FinestFringe, finest_fringes, white_weights
-from render.light_noise import Mask, SensorNoise, chosen, sensor_noise, through
+from render.light_noise import Mask, SensorNoise, chosen, sensor_noises, through
 from render.pathtracer.block_light import BlockLight, Blocks, Images, scatter_about_direct
 from render.pathtracer.path_budget import (
     COHERENT,
@@ -114,9 +114,7 @@ def _pilot(
 
     `place` and `path` are the variances that `Pilot` has, of every fringe and projector, (2, fringe, projector, row, col).
     """
-    strict, sensor = sensor_noise(transport), sensor_noise(transport, SLACK)
-    assert strict is not None  # there is a fringe
-    assert sensor is not None
+    strict, sensor = sensor_noises(transport, (1.0, SLACK), lit)
     fringes = finest_fringes(transport.scene.patterns, transport.bases)
     known = paths / (paths + KNOWING_PATHS)
     phasor, indirect = [], []
@@ -133,7 +131,7 @@ def _pilot(
         return np.asarray(np.take_along_axis(np.stack(images), sensor.projector[None], axis=0)[0])
 
     places, each = (np.stack([chosen(way, sensor) for way in part]) for part in (place, path))
-    counted = lit & np.isfinite(sensor.phase_rad) & np.isfinite(places[0] + each[0])
+    counted = np.isfinite(sensor.phase_rad) & np.isfinite(places[0] + each[0])
     kernel = spread_kernel(transport.scene.sensor)
     sharp: NDArray[np.complex128] = pick(phasor)
     chip = sharp if kernel is None else through(sharp, kernel)
@@ -143,7 +141,7 @@ def _pilot(
     longer = np.hypot(size, (1.0 - known) * COHERENT * light[0])
     pilot = Pilot(
         transport.label,
-        lit,
+        np.asarray(lit.any(axis=0)),
         counted & np.isfinite(strict.phase_rad),
         counted,
         sharp,

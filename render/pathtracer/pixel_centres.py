@@ -30,7 +30,7 @@ def label_map(
 
 
 def lit(mi_scene: Any, camera: Optics, lights: Lights, shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """Whether a light reaches what each pixel's centre sees, on the side that the camera sees, (row, col).
+    """Whether each light reaches what a pixel's centre sees, on the side that the camera sees, (light, row, col).
 
     By the triangles, as `render.truth` has it: shading that is smooth leaves some of them dark. A screen's light is mirrored,
     so it must reach the camera.
@@ -38,8 +38,8 @@ def lit(mi_scene: Any, camera: Optics, lights: Lights, shape: tuple[int, int]) -
     ray = _rays(camera, shape)
     si = mi_scene.ray_intersect(ray, mi.RayFlags.All, True)
     middle = mi.Point2f(MIDDLE)
-    found = np.zeros(shape, np.bool_)
-    for light in lights:
+    found = np.zeros((len(lights), *shape), np.bool_)
+    for p, light in enumerate(lights):
         if isinstance(light, Light):
             source, _, _, reached = light.connect(si.p, middle)
             facing = dr.dot(si.n, source - si.p) * dr.dot(si.n, -ray.d) > 0
@@ -49,7 +49,7 @@ def lit(mi_scene: Any, camera: Optics, lights: Lights, shape: tuple[int, int]) -
             arrived = light.arrive(mi_scene, si, lambda _: middle, si.is_valid())
             lit = [radiance > 0 for radiance, _, _ in arrived]
         for one in lit:
-            found |= one.numpy().reshape(shape)
+            found[p] |= one.numpy().reshape(shape)
     return found
 
 
