@@ -21,7 +21,20 @@ VOLUME_MARGIN = 0.05
 
 
 def decode_mirror(stack: Stack, options: Options) -> Reconstruction:
-    """Slopes and heights of a mirroring surface from a stack that shows a screen by way of it."""
+    """Slopes and heights of a mirroring surface from a stack that shows a screen by way of it.
+
+    Parameters
+    ----------
+    stack
+        Frames (exposure, frame, row, col) in DN, with the calibration of camera and screen.
+    options
+        As `decode.reconstruct` takes them; `known_point` fixes the height where the screen has one position.
+
+    Returns
+    -------
+    reconstruction
+        Per pixel: heights (row, col) and their standard deviations in mm, slopes (2, row, col), and reasons.
+    """
     way = height_by(stack, options)
     seen = screen_image(stack, options)
     assert stack.calibration is not None

@@ -46,6 +46,7 @@ class Strategy:
 
     name: str
     plan: CapturePlan
+    """Takes the pictures that the light budget allows."""
     fusion: str | FusionRule
     source: str
     """The paper."""
@@ -61,7 +62,18 @@ class Strategy:
         return self.fusion if isinstance(self.fusion, str) else type(self.fusion).__name__
 
     def reconstruct(self, stack: Stack) -> Reconstruction:
-        """Decode pictures of the plan."""
+        """Decode pictures of the plan.
+
+        Parameters
+        ----------
+        stack
+            Frames (exposure, frame, row, col) in DN.
+
+        Returns
+        -------
+        reconstruction
+            Heights and their standard deviations in mm, per pixel (row, col).
+        """
         if self.decoder is not None:
             return self.decoder(stack)
         return decode.reconstruct(stack, fusion=self.fusion, saturation=self.saturation)

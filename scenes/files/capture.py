@@ -94,7 +94,13 @@ class Capture(CaptureManifest):
         return [[found[i] for i, keep in zip(row, kept, strict=True) if keep] for row in grid]
 
     def stack(self) -> Stack:
-        """The stack alone, frames (exposure, frame, row, col) in DN; see `imported`."""
+        """The stack alone.
+
+        Returns
+        -------
+        stack
+            Frames (exposure, frame, row, col) in DN, with the calibration; see `imported`.
+        """
         return self.imported().stack
 
     def imported(self) -> Imported:
