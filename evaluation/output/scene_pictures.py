@@ -80,12 +80,17 @@ def phase_figures(rec: Reconstruction) -> tuple[Figure, Figure]:
 
 def reason_map(rec: Reconstruction) -> Figure:
     """Map of the reason why each pixel was rejected, with each reason's share."""
+    return panel_figure(reason_panel(rec))
+
+
+def reason_panel(rec: Reconstruction) -> Panel:
+    """See `reason_map`; reasons that no pixel has are left out."""
     # Valid first, which is plain gray, also where no pixel is.
     present = [r for r in Reason if r is Reason.OK or (rec.reason == r).any()]
     shares = rec.reason_fractions()
     names = [f"{r.label}\n{100 * shares.get(r.label, 0.0):.2f} %" for r in present]
     index = np.searchsorted([int(r) for r in present], rec.reason)
-    return panel_figure(Panel("Valid pixels, and why others were rejected", index, names=names))
+    return Panel("Valid pixels, and why others were rejected", index, names=names)
 
 
 def _radiance(stack: Stack) -> NDArray[np.float64]:

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 import decode
 import scenes
-from decode.reason import Reason
 from evaluation.output.inspector import Inspector
 from evaluation.output.plots import save, symmetric
 from evaluation.output.report import Block, Grid, Listing, Picture, Report, Section, Surface
+from evaluation.output.scene_pictures import reason_panel
 from evaluation.output.sheet import (
     CLIPPED,
     Panel,
@@ -221,8 +221,7 @@ def _reconstruction(rec: decode.Reconstruction, truth: scenes.Truth | None) -> F
         error = height_error_mm(rec, truth) * UM_PER_MM
         title = "Height error (measured − true)"
         panels.append(Panel(title, error, "µm", "RdBu_r", symmetric(error)))
-    names = tuple(reason.label for reason in Reason)
-    panels.append(Panel("Why rejected", rec.reason, names=names))
+    panels.append(reason_panel(rec))
     if rec.phases:
         panels += [
             Panel("Wrapped phase", rec.wrapped_rad, "rad", "twilight", (-np.pi, np.pi)),

@@ -21,15 +21,18 @@ def fused_title(exposures: int, fusion: str) -> str:
 
 def score_rows(score: evaluation.Score) -> list[list[str]]:
     """One row per region: label, pixels, valid %, then bias, RMS, predicted and p95 in um, outliers in %, render noise."""
+    # Heights integrated from slopes are good to nanometres.
+    fine = score.slopes and any((r.rms_mm or 1.0) < 1e-3 for r in score.regions.values())
+    digits = 4 if fine else 1
     return [
         [
             label,
             str(region.pixels),
             number(region.coverage, 100, 1),
-            number(region.bias_mm, 1000, 1),
-            number(region.rms_mm, 1000, 1),
-            number(region.predicted_sd_mm, 1000, 1),
-            number(region.p95_abs_mm, 1000, 1),
+            number(region.bias_mm, 1000, digits),
+            number(region.rms_mm, 1000, digits),
+            number(region.predicted_sd_mm, 1000, digits),
+            number(region.p95_abs_mm, 1000, digits),
             number(region.outlier_fraction, 100, 2),
             number(region.render_to_sensor_noise, 1, 2),
         ]
