@@ -43,15 +43,15 @@ def pytest_runtest_setup(item: pytest.Item) -> Generator[None]:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Generator[None]:
-    """What a test executes is its own."""
-    _COVERAGE.switch_context(item.nodeid)
+    """What a test executes is its own, whatever its parameters: later ones belong to it."""
+    _COVERAGE.switch_context(item.nodeid.partition("[")[0])
     return (yield)
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     """How long a test takes, with its fixtures."""
-    _SECONDS[report.nodeid] += report.duration
-    _SECONDS[report.nodeid.partition("::")[0]] += report.duration
+    for name in (report.nodeid.partition("[")[0], report.nodeid.partition("::")[0]):
+        _SECONDS[name] += report.duration
 
 
 def pytest_sessionfinish() -> None:

@@ -12,7 +12,7 @@ from scipy import stats
 from decode import Reason
 from decode.deflectometry.edges import mostly_outside, near_edges, shift_px
 from decode.deflectometry.integration import Integration, Patches
-from decode.deflectometry.mirror_surface import two_positions
+from decode.deflectometry.mirror_surface import integrated, two_positions
 from decode.deflectometry.reflection import (
     Looks,
     Rays,
@@ -95,6 +95,21 @@ def test_rays_that_miss_each_other_on_either_side_give_no_height() -> None:
     off[1, 1, 1::2] -= 20.0
     found = two_positions(rays, Looks(SCREENS, off, sigma, np.zeros_like(exact)))
     assert (found.reason == Reason.NO_HEIGHT).all()
+
+
+def test_a_pixel_without_height_is_left_out_of_the_integration_and_no_other() -> None:
+    rays, point, normal = sphere(PINHOLE, 150.0)
+    at = seen(rays, point, normal)
+    at += 0.2 * np.random.default_rng(3).standard_normal(at.shape)
+    at[1, 1, 900] += 500.0
+    looks = Looks(SCREENS, at, np.full(at.shape, 0.2), np.zeros_like(at))
+    alone = two_positions(rays, looks)
+    found = integrated(rays, looks, np.ones((SIZE[1], SIZE[0]), np.bool_), None)
+    good = np.arange(at.shape[-1]) != 900
+    assert found.reason[900] == Reason.NO_HEIGHT and (found.reason[good] == Reason.OK).all()
+    # Normals of 1728 pixels average what each pixel's own height has of noise: to a fifth at least.
+    before, after = (np.std((m.height_mm - point[:, 2])[good]) for m in (alone, found))
+    assert after < 0.2 * before
 
 
 def test_predicted_deviations_are_those_of_noisy_coordinates() -> None:
