@@ -36,11 +36,6 @@ class Answer:
     sigma_mm: Floats | None
     """Its own standard deviations; None if it claims none."""
 
-    @property
-    def valid(self) -> NDArray[np.bool_]:
-        """Where it gives a height."""
-        return np.isfinite(self.height_mm)
-
 
 def nothing(shape: Shape) -> Answer:
     """The answer of a decoder that finds nothing valid."""
@@ -60,10 +55,6 @@ def checked(parts: Any, shape: Shape) -> Answer:
             f"the decoder returned {len(arrays)} things: expected heights, or heights and mask, or these and sigma"
         )
     for array, name in zip(arrays, PARTS, strict=False):
-        if isinstance(array, np.ma.MaskedArray):
-            raise DecoderError(
-                f"the decoder's {name} are a masked array: give a plain one, numpy.ma.filled(..., numpy.nan)"
-            )
         if array.shape != shape or array.dtype.kind not in "fbiu":
             raise DecoderError(
                 f"the decoder's {name} are {array.dtype} of shape {array.shape}: expected numbers of the frames' shape "

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -99,16 +99,15 @@ class Case:
 
 def fingerprint(cases: Sequence[Case]) -> str:
     """Digest of what the cases are made of: figures of different cases are not compared."""
-    return digest([case.made_of for case in cases])
+    return _digest(case.made_of for case in cases)
 
 
 def shipped_fingerprint() -> str:
     """The fingerprint of the shipped cases, without making them."""
-    return digest(map(_made_of, CASES))
+    return _digest(map(_made_of, CASES))
 
 
-def digest(texts: Iterable[str]) -> str:
-    """Sixteen hexadecimal digits of some texts."""
+def _digest(texts: Iterable[str]) -> str:
     return hashlib.sha256("\n".join(texts).encode()).hexdigest()[:16]
 
 
@@ -133,37 +132,30 @@ def suite(
     >>> suite(("sweep",))[0].height_mm.shape
     (80, 240)
     """
-    steps = steps or Steps()
-    made = []
-    for name in names:
-        with steps.step(f"prepare {name}"):
-            if name == SWEEP:
-                made.append(sweep())
-            else:
-                made.append(scene_case(name, scenes.load(*RENDERED[name]), cache))
-    return tuple(made)
+    shown = {name: None if name == SWEEP else scenes.load(*RENDERED[name]) for name in names}
+    return _made(shown, steps, cache)
 
 
 def scene_cases(
-    sources: Sequence[str | Path | scenes.Scene],
-    steps: Steps | None = None,
-    cache: Path | None = None,
+    loaded: Sequence[scenes.Scene], steps: Steps | None = None, cache: Path | None = None
 ) -> tuple[Case, ...]:
-    """A case of each scene (name, TOML file or `Scene`): the user's own rig, patterns and surfaces; `SceneError` for
-    two of one name.
-    """
-    steps = steps or Steps()
-    loaded = [
-        source if isinstance(source, scenes.Scene) else scenes.load(source) for source in sources
-    ]
+    """A case of each scene: the user's own rig, patterns and surfaces; `SceneError` for two of one name."""
     names = [scene.name for scene in loaded]
     for name in names:
         if names.count(name) > 1:
             raise SceneError(f"two scenes are called '{name}': give each case a name of its own")
+    return _made(dict(zip(names, loaded, strict=True)), steps, cache)
+
+
+def _made(
+    shown: Mapping[str, scenes.Scene | None], steps: Steps | None, cache: Path | None
+) -> tuple[Case, ...]:
+    """The case of each scene by name; None: the sweep."""
+    steps = steps or Steps()
     made = []
-    for scene in loaded:
-        with steps.step(f"prepare {scene.name}"):
-            made.append(scene_case(scene.name, scene, cache))
+    for name, scene in shown.items():
+        with steps.step(f"prepare {name}"):
+            made.append(sweep() if scene is None else scene_case(name, scene, cache))
     return tuple(made)
 
 

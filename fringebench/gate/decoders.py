@@ -19,7 +19,7 @@ from typing import Any
 from fringebench.exchange.capture_export import export
 from fringebench.gate.answers import Answer, checked, nothing, read_npy, read_output
 from fringebench.gate.supervised import Supervised
-from fringebench.gate.worker import PARTS, parts_of
+from fringebench.gate.worker import PARTS, error_in_words, parts_of
 from scenes import Stack
 from scenes.support.errors import DecodeError, DecoderError
 
@@ -86,14 +86,8 @@ class _InThisProcess(Decoder):
             return nothing(shape)
         except (DecoderError, KeyboardInterrupt):
             raise
-        except SystemExit as error:
-            raise DecoderError(f"the decoder called sys.exit({error.code!r})") from error
         except BaseException as error:  # A decoder under test may raise anything.
-            said = str(error)
-            words = (
-                said if said.startswith("returned ") else f"raised {type(error).__name__}: {said}"
-            )
-            raise DecoderError(f"the decoder {words}") from error
+            raise DecoderError(f"the decoder {error_in_words(error)}") from error
 
 
 class _InWorker(Decoder):

@@ -32,7 +32,7 @@ def main(spec: str, folder: str, requests: int, answers: int) -> None:
     try:
         function = imported(spec)
     except BaseException as error:
-        say(error=f"decoder '{spec}' cannot be imported: {_in_words(error)}")
+        say(error=f"decoder '{spec}' cannot be imported: {error_in_words(error)}")
         return
     say(ready=True)
     with os.fdopen(requests, "rb") as queue:
@@ -43,7 +43,7 @@ def main(spec: str, folder: str, requests: int, answers: int) -> None:
                 say(**_answered(function, stack, place))
             except BaseException as error:
                 traceback.print_exc()
-                say(error=f"the decoder {_in_words(error)}", empty=_is_empty(error))
+                say(error=f"the decoder {error_in_words(error)}", empty=_is_empty(error))
 
 
 def imported(spec: str) -> Callable[[Any], Any]:
@@ -90,7 +90,7 @@ def parts_of(given: Any) -> list["np.ndarray[Any, np.dtype[Any]]"]:
     return arrays
 
 
-def _in_words(error: BaseException) -> str:
+def error_in_words(error: BaseException) -> str:
     """What went wrong."""
     if isinstance(error, SystemExit):
         return f"called sys.exit({error.code!r:.400})"

@@ -16,7 +16,7 @@ PACKAGES = ("fringebench", "mitsuba", "drjit", "numpy", "OpenEXR")
 
 def provenance(
     toml: str,
-    seed: int | None,
+    seed: int | str | None,
     seconds: Mapping[str, float],
     light: Mapping[str, Any] | None = None,
 ) -> Section:

@@ -15,7 +15,6 @@ from fringebench.gate.wording import number, scaled, short_name
 from fringebench.pages.headlines import regress_headline
 from fringebench.pages.origin import provenance
 
-COLUMNS = ("figure", "baseline", "now", "change", "at most", "margin", "verdict")
 # Okabe and Ito's colours; black for what needs more seeds.
 COLOURS = {"worse": "#D55E00", "undecided": "#000000", "same": "#0072B2", "better": "#009E73"}
 BARS = 30
@@ -35,17 +34,12 @@ def regress_report(
         sections.append(Section("History", [_history(result, history)]))
     for case in dict.fromkeys(row.case for row in result.rows):
         rows = [row for row in result.rows if row.case == case]
-        bad = [row for row in rows if not row.comparison.passed]
+        failed = any(not row.comparison.passed for row in rows)
         blocks: list[Block] = []
-        if bad and case in result.maps:
-            blocks += [_maps(result, case), _worst_pixels(result, case)]
-        if bad:
-            cells = [_cells(row) for row in bad]
-            blocks.append(Grid(COLUMNS, cells, "What failed; undecided: give more seeds"))
+        if failed and case in result.maps:
+            blocks = [_maps(result, case), _worst_pixels(result, case)]
         sections.append(Section(f"Case {case}", [*blocks, _overview(rows)]))
-    about = provenance("", None, seconds)
-    seeds = Paragraph(f"Seeds of the noise: {', '.join(map(str, result.seeds))}.")
-    sections.append(Section(about.title, [seeds, *about.blocks]))
+    sections.append(provenance("", ", ".join(map(str, result.seeds)), seconds))
     return Report(
         f"fringebench: {result.decoder}",
         "A decoder compared with a baseline: errors, wrong fringe orders, claimed sigma, and missing pixels.",
@@ -220,12 +214,3 @@ def _figure(rows: Sequence[JudgedFigure]) -> Figure:
 def _name(row: JudgedFigure) -> str:
     """Case, region and figure."""
     return f"{row.case} / {row.region}: {short_name(row.metric)}"
-
-
-def _cells(row: JudgedFigure) -> list[str]:
-    """A table row."""
-    c = row.comparison
-    scale, unit = scaled(row.metric)
-    numbers = (row.old.mean, row.new.mean, c.difference, c.upper, c.margin)
-    name = f"{row.region}: {short_name(row.metric)} ({unit})"
-    return [name, *(number(scale * value) for value in numbers), c.verdict]

@@ -9,8 +9,6 @@ from evaluation.scoring.error_budget import ErrorBudget
 from fringebench.diagnosis import Diagnosis
 from fringebench.pages.figure_tables import figure_table, number
 
-STEREO_TITLE, STEREO_COLUMNS = "missing or wrong matches", ("bad 1 px %", "bad 2 px %")
-
 
 def fused_title(exposures: int, fusion: str) -> str:
     """Title of the second score table of a run."""
@@ -46,14 +44,6 @@ def score_table(score: evaluation.Score, title: str) -> Table:
     return figure_table(title, "region", figures, score_rows(score))
 
 
-def stereo_rows(score: evaluation.Score) -> list[list[str]]:
-    """One row per region: label, and the shares of bad matches in %."""
-    return [
-        [label, number(region.bad_1px, 100, 1), number(region.bad_2px, 100, 1)]
-        for label, region in (score.stereo or {}).items()
-    ]
-
-
 def feature_table(score: evaluation.Score) -> Table:
     """One row per feature: measured, true, difference."""
     rows = []
@@ -66,32 +56,31 @@ def feature_table(score: evaluation.Score) -> Table:
     return figure_table("features", "feature", ("measured mm", "truth mm", "difference µm"), rows)
 
 
-SLOPE_COLUMNS = "slopes µrad", "pred. µrad", "in 1 σ %", "in 1.96 σ %", "form µm"
-
-
-def slope_rows(score: evaluation.Score) -> list[list[str]]:
-    """One row per label: slope errors, the standard deviation predicted, how well it holds, and the form error."""
-    return [
-        [
-            label,
-            number(own.rms_urad, 1, 1),
-            number(own.predicted_urad, 1, 1),
-            number(own.within_one_sigma, 100, 1),
-            number(own.within_two_sigma, 100, 1),
-            number(own.form_um, 1, 3),
-        ]
-        for label, own in (score.slopes or {}).items()
-    ]
-
-
 def extra_tables(score: evaluation.Score) -> list[Table]:
     """Shares of bad matches, features and slopes, where there are any."""
     tables = [feature_table(score)] if score.features else []
     if score.stereo:
-        tables.insert(0, figure_table(STEREO_TITLE, "region", STEREO_COLUMNS, stereo_rows(score)))
+        rows = [
+            [label, number(own.bad_1px, 100, 1), number(own.bad_2px, 100, 1)]
+            for label, own in score.stereo.items()
+        ]
+        columns = "bad 1 px %", "bad 2 px %"
+        tables.insert(0, figure_table("missing or wrong matches", "region", columns, rows))
     if score.slopes:
+        rows = [
+            [
+                label,
+                number(own.rms_urad, 1, 1),
+                number(own.predicted_urad, 1, 1),
+                number(own.within_one_sigma, 100, 1),
+                number(own.within_two_sigma, 100, 1),
+                number(own.form_um, 1, 3),
+            ]
+            for label, own in score.slopes.items()
+        ]
+        figures = "slopes µrad", "pred. µrad", "in 1 σ %", "in 1.96 σ %", "form µm"
         title = "slopes, and the form without its tilt"
-        tables.append(figure_table(title, "region", SLOPE_COLUMNS, slope_rows(score)))
+        tables.append(figure_table(title, "region", figures, rows))
     return tables
 
 

@@ -115,7 +115,7 @@ def test_page_shows_the_failed_case_next_to_the_baseline_s(
     assert "wrong fringe orders: 0.00 % -&gt; 15.62 %" in headline
     assert "rows 0 to 9" in headline
     assert "✗ 0.00 → 15.62" in html
-    assert "Seeds of the noise: 0, 1, 2, 3." in html
+    assert "<td>0, 1, 2, 3</td>" in html
     assert "History" in html
     # The corner's wrong pixels come with what the camera saw there: 2 exposures of 8 frames.
     worst = biased.worst[0]
@@ -237,7 +237,7 @@ def test_formula_stack_of_any_patterns_is_decoded(patterns: Mapping[str, object]
     middle = sum(stack.calibration.height_range_mm) / 2.0 if stack.calibration else 0.0
     # A Gray code resolves a projector pixel, some 0.1 mm of height here; an order would be off by millimetres.
     assert np.nanmedian(np.abs(answer.height_mm - middle)) < 0.5
-    assert answer.valid.mean() > 0.5
+    assert np.isfinite(answer.height_mm).mean() > 0.5
 
 
 @pytest.mark.slow

@@ -37,7 +37,9 @@ def _regression() -> Regression:
         rows.append(
             JudgedFigure("sweep", "ink", metric, estimate, old, compare(estimate, old, 0.1))
         )
-    return Regression("my:decoder", "baseline.json", (0, 1, 2), tuple(rows), {})
+    place = "throughout the region, rows 48 to 101, columns 193 to 198"
+    places = {("sweep", "ink", "bias_mm"): place}
+    return Regression("my:decoder", "base.json", (0, 1, 2), tuple(rows), {}, places=places)
 
 
 @pytest.fixture(scope="module")
