@@ -21,6 +21,8 @@ from scenes.support.finding import Finding, graded
 RANDOM_MISMATCH = 0.2
 # Share of the lit pixels that may disagree before it is warned of.
 DISAGREE = 0.05
+# Share of coordinates beyond the projector, and what noise and gamma add at its border.
+BEYOND, BORDER_PX = 0.01, 2.0
 # Points of a good calibration meet the other axis to a pixel; a wrong one misses by tens.
 EPIPOLAR_PX = (2.0, 8.0)
 # Share of points outside the working volume that no stray light makes.
@@ -87,12 +89,27 @@ def _order_of(stack: Stack, rec: Reconstruction, projector: int) -> Iterator[Fin
             said += ", or give projector_resolution if the periods beat beyond the projector's size"
         yield Finding(f"{axis}s, fringe order", "wrong" if cells else "warning", said)
     if axis in fringe_sets(stack.patterns, projector):
+        yield from _range(stack, rec, projector)
         yield jumps(phase, rec.valid, f"{axis}s, neighbours")
         yield from scales(stack, rec, projector)
     calibration = stack.calibration
     if calibration is not None:
         rig, heights = view_of(calibration, projector).rig, calibration.height_range_mm
         yield from disorder(phase, rec.valid, rig, axis, heights, f"{axis}s, epipolar order")
+
+
+def _range(stack: Stack, rec: Reconstruction, projector: int) -> Iterator[Finding]:
+    """Whether the projector has the coordinates that its fringes give; nothing where its size or the order is unknown."""
+    resolution = stack.projector_size(projector)
+    if resolution is None or not rec.order_known or not rec.valid.any():
+        return
+    size = resolution[0 if rec.axis == "column" else 1]
+    at = rec.phases[rec.axis].coordinate_px[rec.valid]
+    share = float(((at < -BORDER_PX) | (at > size + BORDER_PX)).mean())
+    said = f"{share:.2%} of the coordinates are beyond the projector's {size} px"
+    if share > BEYOND:
+        said += ": projector_resolution, a period, a first phase or an origin is not as stated"
+    yield Finding(f"{rec.axis}s, range", "wrong" if share > BEYOND else "ok", said, share)
 
 
 def _in_space(stack: Stack, projector: int) -> Finding:

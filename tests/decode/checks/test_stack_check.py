@@ -240,3 +240,17 @@ def test_codes_are_the_projectors_up_to_its_last_pixel(code: int, verdict: str) 
     stack = Stack(counts.astype(np.uint8), shown, (1.0,), sensor, projector_resolution=(400, 300))
     found = {finding.name: finding.verdict for finding in check(stack).findings}
     assert next(found[name] for name in found if name.endswith(", range")) == verdict
+
+
+@pytest.mark.parametrize(("width", "verdict"), [(400, "ok"), (300, "wrong")])
+def test_coordinates_of_fringes_are_the_projectors(width: int, verdict: str) -> None:
+    """400 px of fringes in view, of which a projector of 300 would not have a quarter."""
+    shown = PhaseShift(steps=4, periods_px=(20.0, 100.0, 500.0)).frames()
+    at_px = np.broadcast_to(np.linspace(0.5, 399.5, 500), (60, 500))
+    noise = np.random.default_rng(0).normal(0.0, 1.0, (len(shown), *at_px.shape))
+    light = np.stack([f.commanded(at_px) for f in shown])
+    counts = np.round(30.0 + 180.0 * light + noise).astype(np.uint8)
+    sensor = SimpleSensor(sigma_dn=1.0)
+    stack = Stack(counts[None], shown, (1.0,), sensor, projector_resolution=(width, 200))
+    found = {f.name: f.verdict for f in check(stack).findings}
+    assert found["columns, range"] == verdict
