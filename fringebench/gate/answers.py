@@ -12,6 +12,7 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from decode import Reconstruction
+from fringebench.gate.worker import PARTS
 from scenes.files import exr
 from scenes.support.errors import DecoderError
 
@@ -22,7 +23,6 @@ Shape = tuple[int, ...]
 HEIGHT_CHANNELS = ("height_mm", "height", "Z", "z", "Y", "R")
 SUFFIXES = (".exr", ".tif", ".tiff", ".npy")
 MAGIC = {b"\x76\x2f\x31\x01": ".exr", b"II*\0": ".tif", b"MM\0*": ".tif", b"\x93NUMPY": ".npy"}
-PARTS = ("heights", "mask", "sigma")
 # A reconstruction file holds some 80 bytes a pixel; what is much larger is no answer.
 BYTES_PER_PIXEL, BYTES_MORE = 400, 1 << 20
 

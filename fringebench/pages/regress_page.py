@@ -11,7 +11,8 @@ from evaluation.output.plots import UM_PER_MM, symmetric
 from evaluation.output.report import Block, Grid, Paragraph, Picture, Report, Section
 from evaluation.output.sheet import Panel, contact_sheet
 from fringebench.gate.regression_result import RegionFailure, Regression, severity
-from fringebench.gate.wording import number, scaled, short_name
+from fringebench.gate.wording import scaled, short_name
+from fringebench.pages.figure_tables import number
 from fringebench.pages.headlines import regress_headline
 from fringebench.pages.origin import provenance
 
@@ -73,12 +74,11 @@ def _failure_cells(failure: RegionFailure) -> list[str]:
     """A row of the table of what failed."""
     row, test = failure.worst, failure.worst.comparison
     scale, unit = scaled(row.metric)
-    old, new, margin = (number(scale * x) for x in (row.old.mean, row.new.mean, test.margin))
     return [
         f"{row.case} / {row.region}",
         short_name(row.metric) + ("" if test.verdict == "worse" else f" ({test.verdict})"),
-        f"{old} → {new} {unit}",
-        f"+{margin} {unit}",
+        f"{_pair(row)} {unit}",
+        f"+{number(test.margin, scale, 2)} {unit}",
         failure.where,
         ", ".join(map(short_name, failure.others)) or "-",
     ]
@@ -87,7 +87,10 @@ def _failure_cells(failure: RegionFailure) -> list[str]:
 def _overview(rows: Sequence[JudgedFigure]) -> Grid:
     """All figures of a case, a column a region: the baseline's and today's."""
     regions = list(dict.fromkeys(row.region for row in rows))
-    cells = {(row.metric, row.region): _pair(row) for row in rows}
+    cells = {
+        (row.metric, row.region): ("" if row.comparison.passed else f"{FAILED} ") + _pair(row)
+        for row in rows
+    }
     lines = [
         [f"{short_name(metric)} ({scaled(metric)[1]})"]
         + [cells.get((metric, region), "-") for region in regions]
@@ -97,9 +100,8 @@ def _overview(rows: Sequence[JudgedFigure]) -> Grid:
 
 
 def _pair(row: JudgedFigure) -> str:
-    scale, _ = scaled(row.metric)
-    mark = "" if row.comparison.passed else f"{FAILED} "
-    return f"{mark}{number(scale * row.old.mean)} → {number(scale * row.new.mean)}"
+    old, new = (number(side.mean, scaled(row.metric)[0], 2) for side in (row.old, row.new))
+    return f"{old} → {new}"
 
 
 def _maps(result: Regression, case: str) -> Picture:
@@ -132,16 +134,12 @@ def _maps(result: Regression, case: str) -> Picture:
 
 def _worst_pixels(result: Regression, case: str) -> Grid:
     """The worst pixels of a failed case, with their intensities."""
-
-    def um(value_mm: float | None) -> str:
-        return "none" if value_mm is None else f"{value_mm * UM_PER_MM:.1f}"
-
     cells = [
         [
             f"{pixel.row}, {pixel.col}",
             pixel.region,
-            um(pixel.true_mm),
-            um(pixel.error_mm),
+            number(pixel.true_mm, UM_PER_MM, 1),
+            number(pixel.error_mm, UM_PER_MM, 1),
             "; ".join(" ".join(f"{dn:.5g}" for dn in exposure) for exposure in pixel.counts_dn),
         ]
         for pixel in result.worst

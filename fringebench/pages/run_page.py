@@ -5,7 +5,6 @@ from collections.abc import Mapping
 import numpy as np
 
 import decode
-import evaluation
 import scenes
 from evaluation.output.inspector import inspector_of
 from evaluation.output.plots import figures
@@ -114,8 +113,8 @@ def _phases(rec: decode.Reconstruction) -> list[Block]:
 def _scores(run: Run) -> list[Block]:
     count = len(run.stack.exposure_ms)
     blocks: list[Block] = [
-        _score_grid(run.naive, "One exposure, saturation ignored: a mask by modulation only"),
-        _score_grid(run.score, _upper(fused_title(count, run.fusion))),
+        Grid(SCORE_COLUMNS, score_rows(run.naive), "One exposure, saturation ignored"),
+        Grid(SCORE_COLUMNS, score_rows(run.score), fused_title(count, run.fusion).capitalize()),
         Paragraph(
             "Regions are the lit pixels of each label. Errors are measured minus true height. Predicted is the standard "
             "deviation that the decoder claims; outliers are errors beyond five of them. Render / sensor noise compares the noise of "
@@ -123,14 +122,6 @@ def _scores(run: Run) -> list[Block]:
         ),
     ]
     return blocks + [grid(table) for table in extra_tables(run.score)]
-
-
-def _score_grid(score: evaluation.Score, caption: str) -> Grid:
-    return Grid(SCORE_COLUMNS, score_rows(score), caption)
-
-
-def _upper(text: str) -> str:
-    return text[0].upper() + text[1:]
 
 
 def _surface(rec: decode.Reconstruction, truth: scenes.Truth) -> Surface:
