@@ -111,7 +111,7 @@ def test_strategy_that_does_not_fit_is_refused_with_what_it_needs() -> None:
 @pytest.mark.parametrize("steps", [3, 4])
 @pytest.mark.parametrize("ratio", [1.25, 1.5])
 def test_saturation_bias_of_two_sets_is_that_of_the_closed_form(steps: int, ratio: float) -> None:
-    """The mean of two maps and the joint fit of 2N steps, against the Fourier series of the clipped wave.
+    """One set, the mean of two maps and the joint fit of 2N steps, against the Fourier series of the clipped wave.
 
     N samples fold the harmonics 1 + qN onto the first: the phase errs by ``arg(1 + sum_q (c_(1+qN)/c_1) exp(j q N phi))``.
     Harmonics fall as 1/m^2, so those above 400 leave some 1e-4 rad; float32 leaves 1e-6.
@@ -136,14 +136,15 @@ def test_saturation_bias_of_two_sets_is_that_of_the_closed_form(steps: int, rati
 
     ref = Reference(PhaseShift(steps=steps, periods_px=(16.0,)), (1.0, 2.0))
     expected = {
+        "single": error(phi, steps),
         "complementary": (error(phi, steps) + error(phi + np.pi / steps, steps)) / 2.0,
         "2n-step": error(phi, 2 * steps),
     }
     # Root mean squares, computed independently of this series.
     published = {
-        (3, 1.5): (0.0114, 0.0345),
-        (3, 1.25): (0.0127, 0.0086),
-        (4, 1.5): (0.0124, 0.0108),
+        (3, 1.5): (0.188, 0.0114, 0.0345),
+        (3, 1.25): (0.0715, 0.0127, 0.0086),
+        (4, 1.5): (0.0847, 0.0124, 0.0108),
     }
     for i, (name, theory) in enumerate(expected.items()):
         (strategy,) = strategies([name])
@@ -159,7 +160,10 @@ def test_saturation_bias_of_two_sets_is_that_of_the_closed_form(steps: int, rati
         off = (found - phi + np.pi) % (2.0 * np.pi) - np.pi
         assert np.abs(off - theory).max() < 1e-3
         if (steps, ratio) in published:
-            assert np.sqrt(np.mean(off**2)) == pytest.approx(published[steps, ratio][i], abs=1e-4)
+            # Three digits of it.
+            assert np.sqrt(np.mean(off**2)) == pytest.approx(
+                published[steps, ratio][i], abs=1e-4 if i else 5e-4
+            )
 
 
 @pytest.mark.parametrize("name", ["single", "inverted", "complementary", "2n-step", "more-steps"])
