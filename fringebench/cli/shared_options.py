@@ -50,7 +50,7 @@ PhaseError = Annotated[
     typer.Option(
         "--phase-error",
         metavar="RAD",
-        help="Trace until render noise moves the phase of 95 % of lit pixels by less (sampling.phase_error_rad).",
+        help="Trace until render noise moves the phase of 95 % of lit pixels by less (phase_error_rad in [sampling]).",
     ),
 ]
 RenderNoise = Annotated[
@@ -58,7 +58,7 @@ RenderNoise = Annotated[
     typer.Option(
         "--render-noise",
         metavar="SHARE",
-        help="Trace until render noise is below this share of the sensor's noise in each label (sampling.render_noise).",
+        help="Trace until render noise is below this share of the sensor's noise in each label (render_noise in [sampling]).",
     ),
 ]
 Seed = Annotated[int, typer.Option(help="Seed of light paths and sensor noise.", min=0)]

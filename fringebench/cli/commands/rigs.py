@@ -49,7 +49,7 @@ def twin(
     ] = None,
     mm_per_unit: opt.MmPerUnit = None,
     second_to_first: Annotated[
-        bool, typer.Option(help="R and T take projector points to the camera.")
+        bool, typer.Option("--second-to-first", help="R and T take projector points to the camera.")
     ] = False,
     name: opt.PartNames = [],  # noqa: B006
     as_json: opt.AsJson = False,

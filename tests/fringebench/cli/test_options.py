@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 import typer.main
+from typer.testing import CliRunner
 
 import scenes
 from fringebench.cli.app import app
@@ -32,6 +33,14 @@ def test_every_command_has_an_example_that_parses() -> None:
         assert example.split()[0] == name, f"{name}: {command.epilog}"
         words = example.replace("> mine.toml", "").split()[1:]
         command.make_context(name, words, resilient_parsing=False).close()
+
+
+def test_help_at_80_columns_cuts_no_word() -> None:
+    size = {"COLUMNS": "80", "TERMINAL_WIDTH": "80"}
+    for name, _ in commands():
+        shown = CliRunner().invoke(app, [name, "--help"], env=size).output
+        assert "…" not in shown, name
+        assert max(map(len, shown.splitlines())) <= 80
 
 
 def test_commands_have_the_options_that_all_of_their_kind_have() -> None:
