@@ -208,6 +208,9 @@ def test_progress_never_falls_and_reports_each_pass() -> None:
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
     assert details[0] == "pass 1, 0 of about 128 samples"
+    # Noise falls with the root of the samples, so no forecast is far beyond what it takes.
+    forecasts = [int(text.split()[-2]) for text in details]
+    assert light.samples <= max(forecasts) <= 2 * light.samples
 
 
 def test_samples_are_rounded_up_to_an_even_number() -> None:
