@@ -45,9 +45,13 @@ def scene_picture(stack: Stack, truth: Truth) -> Figure:
 
 
 def _is_speckle(mask: NDArray[np.bool_]) -> bool:
-    """Whether a region is mostly outline, as grains of a few pixels are: lines would hide what they outline."""
-    inner = ndimage.binary_erosion(mask)
-    return bool(2 * inner.sum() < mask.sum())
+    """Whether a region is mostly outline or full of gaps, as grains of a few pixels are: lines would hide what they outline."""
+
+    def outline(region: NDArray[np.bool_]) -> int:
+        return int((region & ~ndimage.binary_erosion(region)).sum())
+
+    own, closed = outline(mask), mask | ndimage.binary_closing(mask, iterations=3)
+    return own > 0.5 * mask.sum() or own > 2 * outline(closed)
 
 
 def frames_picture(stack: Stack) -> Figure:

@@ -137,9 +137,12 @@ def test_png_is_a_png_file() -> None:
     assert image.format == "PNG"
 
 
-def test_grains_of_few_pixels_are_not_hidden_by_outlines(truth_of: TruthMaker, grid: Grid) -> None:
+@pytest.mark.parametrize("share", [0.3, 0.9])
+def test_grains_of_few_pixels_are_not_hidden_by_outlines(
+    truth_of: TruthMaker, grid: Grid, share: float
+) -> None:
     x, y = grid(SHAPE)
-    grains = (np.random.default_rng(0).random(SHAPE) < 0.3) & (x > 0.0)
+    grains = (np.random.default_rng(0).random(SHAPE) < share) & (x > 0.0)
     disc = np.hypot(x + 2.0, y) < 1.0
     truth = truth_of(np.zeros(SHAPE), {"base": True, "grains": grains, "disc": disc})
     frames = np.full((1, 3, *SHAPE), 100, np.uint8)
