@@ -1,5 +1,7 @@
 """The colour picture: brightness of matt surfaces, the colour of a tilted mirror, and the colours of metals."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -27,6 +29,14 @@ def test_level_matt_surface_has_its_reflectance_in_each_colour() -> None:
     np.testing.assert_allclose(_mean("white-paint"), 0.8, rtol=0.02)
     laminate = LIBRARY["laminate"]
     np.testing.assert_allclose(_mean("laminate"), laminate.rgb, rtol=0.02)  # type: ignore[arg-type,union-attr]
+
+
+def test_rings_are_red_above_green_above_blue() -> None:
+    # Bands of LEDs' dominant wavelengths, nm.
+    bands = {"red": (610, 645), "green": (510, 540), "blue": (450, 480)}
+    assert [ring.colour for ring in RINGS] == list(bands)
+    assert all(bands[ring.colour][0] < ring.wavelength_nm < bands[ring.colour][1] for ring in RINGS)
+    assert all(above.low_deg > below.high_deg for above, below in pairwise(RINGS))
 
 
 @pytest.mark.parametrize("channel", [0, 1, 2])
