@@ -14,6 +14,7 @@ f/2.8.
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,8 @@ Floats = NDArray[np.float64]
 REACH = 256
 # Cycles per pixel up to which the transfer is integrated: far into the interpolation's stopband.
 FINEST = 4.0
+# Of images with so many pixels at most, factors of the transform are kept: planning render noise blurs some fifty times.
+MOST_KEPT = 1 << 20
 # Sensors so small or lenses so slow that arithmetic would overflow blur everything alike.
 TINY = 1e-9
 
@@ -118,8 +121,14 @@ def blurred(
 
 def _transfer(shape: tuple[int, ...], kernel: Floats) -> Floats:
     """Factors of an image's cosine transform: its symmetry is the mirror, and the kernel is symmetric, too."""
-    down, across = (_waves(n, len(kernel)) for n in shape)
-    return _between(down, kernel, across)
+    make = _made_transfer if shape[0] * shape[1] <= MOST_KEPT else _made_transfer.__wrapped__
+    return make(shape, kernel.shape, kernel.tobytes())
+
+
+@lru_cache(maxsize=6)
+def _made_transfer(shape: tuple[int, ...], reach: tuple[int, ...], kernel: bytes) -> Floats:
+    down, across = (_waves(n, reach[0]) for n in shape)
+    return _between(down, np.frombuffer(kernel).reshape(reach), across)
 
 
 def _multiplied(image: NDArray[np.float32], transfer: Floats) -> Floats:

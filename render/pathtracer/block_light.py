@@ -60,6 +60,11 @@ class Blocks:
         first[1::2] += SECOND_HALF
         return Blocks(pixel, number, places, paths, first)
 
+    def of(self, entry: NDArray[np.intp]) -> "Blocks":
+        """The same blocks of some of these entries."""
+        parts = (self.pixel, self.number, self.places, self.paths, self.first)
+        return Blocks(*(part[entry] for part in parts))
+
     def more(self, entry: NDArray[np.intp], number: Counts) -> "Blocks":
         """So many more of the same blocks for some of these entries."""
         first = self.first[entry] + self.number[entry]

@@ -1,13 +1,14 @@
 """What light from vertices deeper than a trace follows would do to the phase: its error that no scatter shows.
 
-A pilot is traced once more with the same random numbers and more vertices. What differs, block by block, is exactly the light
-that the depth cuts off. Its square averaged over blocks would be mostly noise; products of two different blocks are not, on
-average (a U-statistic).
+Some pixels of a pilot are traced once more with the same random numbers and more vertices. What differs, block by block, is
+exactly the light that the depth cuts off. Its square averaged over blocks would be mostly noise; products of two different
+blocks are not, on average (a U-statistic).
 """
 
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from render.light_noise import SensorNoise, chosen
 from render.pathtracer.block_light import BlockLight, Blocks
@@ -15,27 +16,46 @@ from render.pathtracer.path_budget import Pilot
 
 # What is not so many of its standard errors above nothing counts as nothing.
 SURE = 2.0
+# Pixels of a label that are traced once more, about.
+LABEL_PIXELS = 1 << 15
+# Fraction of the golden ratio: takes such a share of the pixels evenly.
+GOLDEN = 0.6180339887498949
+
+
+def judged_pixels(pilot: Pilot) -> NDArray[np.intp]:
+    """Numbers of the scored pixels by which each label's cut light is estimated."""
+    scored = np.where(pilot.scored, pilot.label, 0).ravel()
+    share = LABEL_PIXELS / np.maximum(np.bincount(scored), 1)
+    share[0] = 0.0
+    return np.flatnonzero(GOLDEN * np.arange(scored.size) % 1.0 < share[scored])
 
 
 def cut_to_sensor_noise(
-    quick: BlockLight, deep: BlockLight, blocks: Blocks, pilot: Pilot, sensor: SensorNoise
+    quick: BlockLight,
+    deep: BlockLight,
+    blocks: Blocks,
+    pixels: NDArray[np.intp],
+    pilot: Pilot,
+    sensor: SensorNoise,
 ) -> Mapping[int, float]:
-    """Label's number -> root mean square of the cut light's phase over that of the sensor's noise, over its scored pixels.
+    """Label's number -> root mean square of the cut light's phase over that of the sensor's noise, over some scored pixels.
 
-    `deep` is the pilot `quick`, traced again in the same `blocks` with more vertices.
+    `deep` are these `pixels` of the pilot `quick`, traced again in the same `blocks` with more vertices.
     """
-    found = deep.phasor[0] - quick.phasor[0]
-    number = blocks.number.astype(np.float64)
-    entry = np.repeat(np.arange(number.size), blocks.number)
-    square = np.empty((*found.shape[:2], *pilot.label.shape))
+    again = np.zeros(blocks.number.size, np.bool_)
+    again[pixels] = True
+    before = quick.phasor[0][..., np.repeat(again, blocks.number)]
+    number = blocks.number[pixels].astype(np.float64)
+    entry = np.repeat(np.arange(number.size), blocks.number[pixels])
+    found = deep.phasor[0] - before
+    square = np.full((*found.shape[:2], blocks.number.size), np.nan)
     for at in np.ndindex(found.shape[:2]):
-        z = quick.phasor[0][at]
-        mean = np.bincount(entry, z.real) + 1j * np.bincount(entry, z.imag)
+        mean = np.bincount(entry, before[at].real) + 1j * np.bincount(entry, before[at].imag)
         with np.errstate(divide="ignore", invalid="ignore"):
             turn = (found[at] * (number / mean)[entry]).imag
         once, twice = np.bincount(entry, turn), np.bincount(entry, turn**2)
-        square[at] = ((once**2 - twice) / (number * (number - 1.0))).reshape(pilot.label.shape)
-    own = chosen(square, sensor)
+        square[at][pixels] = (once**2 - twice) / (number * (number - 1.0))
+    own = chosen(square.reshape(*found.shape[:2], *pilot.label.shape), sensor)
     ratios = {}
     for n in np.unique(pilot.label[pilot.scored]):
         at = pilot.scored & (pilot.label == n) & np.isfinite(own)

@@ -105,12 +105,11 @@ def blocks_needed(
     fewest paths. `indirect`: whether any path leaves the first vertex.
     """
     fewest = np.where(np.isin(pilot.label, list(targets)), FEWEST_BLOCKS, FEWEST_ELSEWHERE)
-    first = {label: target / np.sqrt(FIRST) for label, target in targets.items()}
+    budgets = _budgets(pilot, targets)
     share, paths = 1.0, np.ones(pilot.label.shape)
     if indirect:
-        share = DIRECT
-        rest = {label: target * np.sqrt(1.0 - share) for label, target in first.items()}
-        paths = paths_needed(pilot, rest, 2.0 * fewest, most_paths, 0.0)
+        share, have = DIRECT, 2.0 * fewest
+        paths = _paths(pilot, budgets, (1.0 - share) / FIRST, have, most_paths, 0.0)
     blocks = 2.0 * np.ceil(np.maximum(paths / BLOCK_PATHS, fewest) / 2.0)
     power = LENS_POWER if lens else PLACES_POWER
     # The contrast of fringes, which neighbours see behind a lens, needs two pairs.
@@ -118,11 +117,10 @@ def blocks_needed(
     each = np.ceil(paths / blocks)
     # Paths from one place share what it sees.
     places = 2.0 * np.ceil(each / (2.0 * PATHS_OF_PLACE))
-    for label, target in first.items():
-        allowed, adds = _allowed(pilot, label, target)
-        if allowed > 0.0:
-            variance = (adds * np.nan_to_num(pilot.place_variance)).sum(axis=0)
-            places = np.maximum(places, _places(variance, blocks, share * allowed, power, step))
+    for allowed, adds in budgets.values():
+        variance = (adds * np.nan_to_num(pilot.place_variance)).sum(axis=0)
+        wanted = _places(variance, blocks, share / FIRST * allowed, power, step)
+        places = np.maximum(places, wanted)
     return Blocks(
         np.arange(blocks.size, dtype=np.uint32),
         blocks.ravel().astype(np.uint32),
@@ -139,20 +137,27 @@ def paths_needed(
 
     A label's noise counts as larger by so many standard `errors` of its estimate.
     """
+    return _paths(pilot, _budgets(pilot, targets), 1.0, have, most_paths, errors)
+
+
+def _paths(
+    pilot: Pilot,
+    budgets: dict[int, tuple[float, Floats]],
+    share: float,
+    have: Floats,
+    most_paths: int,
+    errors: float,
+) -> Floats:
+    """`paths_needed`, if so much of each label's budget may be used, which `_budgets` has."""
     paths = have.astype(np.float64)
-    for label, target in targets.items():
-        allowed, adds = _allowed(pilot, label, target)
-        if allowed <= 0.0:
-            continue
+    for label, (allowed, adds) in budgets.items():
         inside = pilot.label == label
-        counted = inside & pilot.counted
-        shares, without = _shares(
-            pilot.indirect, adds.sum(axis=0), counted, inside & (pilot.lit | pilot.counted)
-        )
+        some = inside & (pilot.lit | pilot.counted)
+        shares, without = _shares(pilot.indirect, adds.sum(axis=0), inside & pilot.counted, some)
         variance = (adds * np.nan_to_num(pilot.path_variance)).sum(axis=0)
-        some = variance > 0.0
-        cost = _Cost(variance[some], without[some], have[some], most_paths, errors)
-        paths = np.maximum(paths, np.minimum(cost.scale(allowed) * shares, most_paths))
+        noisy = variance > 0.0
+        cost = _Cost(variance[noisy], without[noisy], have[noisy], most_paths, errors)
+        paths = np.maximum(paths, np.minimum(cost.scale(share * allowed) * shares, most_paths))
     return paths
 
 
@@ -184,14 +189,17 @@ class _Cost:
         return high
 
 
-def _allowed(pilot: Pilot, label: int, target: float) -> tuple[float, Floats]:
-    """What a label's sum of phase variances may be, 0 without any pixel, and what those of each pixel add to it."""
-    inside = pilot.label == label
-    scored = inside & pilot.scored
-    if not scored.any():
-        return 0.0, np.zeros((2, *inside.shape))
-    allowed = (AIMED * target) ** 2 * float((pilot.sensor_rad[scored] ** 2).sum())
-    return allowed, weights(pilot.phasor, pilot.chip, inside & pilot.counted, pilot.kernel)
+def _budgets(pilot: Pilot, targets: dict[int, float]) -> dict[int, tuple[float, Floats]]:
+    """Label -> what its sum of phase variances may be, and how much those of each pixel add to it, (2, row, col)."""
+    found = {}
+    for label, target in targets.items():
+        inside = pilot.label == label
+        scored = inside & pilot.scored
+        if scored.any():
+            allowed = (AIMED * target) ** 2 * float((pilot.sensor_rad[scored] ** 2).sum())
+            counted = inside & pilot.counted
+            found[label] = allowed, weights(pilot.phasor, pilot.chip, counted, pilot.kernel)
+    return found
 
 
 def smooth_indirect(light: Floats, label: NDArray[np.uint16]) -> tuple[Floats, Floats]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from render.fringe_phasor import FinestFringe, finest_fringes
 from render.light_noise import render_to_sensor_noise
 from render.pathtracer.block_light import BlockLight, Blocks, add, phasor_variance, trace_blocks
-from render.pathtracer.cut_light import cut_to_sensor_noise
+from render.pathtracer.cut_light import cut_to_sensor_noise, judged_pixels
 from render.pathtracer.one_pass import check, require_finite, set_up
 from render.pathtracer.path_budget import blocks_needed, pilot_blocks
 from render.pathtracer.path_kernel import DEEPEST_CUT, Pass
@@ -141,8 +141,11 @@ def _traced(
     cut: Mapping[int, float] = {}
     if 1 < pass_.depth < DEEPEST_CUT:
         deep = replace(pass_, depth=DEEPEST_CUT)
-        again = trace_blocks(deep, width, first, channels, fringes, seed ^ PILOT_STREAM)
-        cut = cut_to_sensor_noise(quick, again, first, pilot, sensor)
+        pixels = judged_pixels(pilot)
+        if pixels.size:
+            stream = seed ^ PILOT_STREAM
+            again = trace_blocks(deep, width, first.of(pixels), channels, fringes, stream)
+            cut = cut_to_sensor_noise(quick, again, first, pixels, pilot, sensor)
     del quick, rough
     blocks = blocks_needed(pilot, targets, most, indirect, pass_.lens).halved()
     final = light(blocks, seed, done(PILOT_SHARE, FIRST_SHARE))

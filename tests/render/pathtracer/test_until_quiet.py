@@ -12,7 +12,7 @@ import scenes
 from render.light_noise import SensorNoise
 from render.pathtracer import block_light
 from render.pathtracer.block_light import BlockLight, Blocks
-from render.pathtracer.cut_light import cut_to_sensor_noise
+from render.pathtracer.cut_light import cut_to_sensor_noise, judged_pixels
 from render.pathtracer.path_budget import (
     AIMED,
     BLOCK_PATHS,
@@ -117,9 +117,8 @@ def test_cut_light_is_the_mean_turn_of_phase_and_not_its_noise() -> None:
         np.full(shape, 0.2), np.zeros((2, *shape)), np.zeros((2, *shape)),
     )  # fmt: skip
     sensor = SensorNoise(pilot.sensor_rad, np.zeros(shape, np.intp), (0,))
-    found = cut_to_sensor_noise(
-        quick, deep, Blocks(count, count, count, count, count), pilot, sensor
-    )
+    blocks = Blocks(count, count, count, count, count)
+    found = cut_to_sensor_noise(quick, deep, blocks, judged_pixels(pilot), pilot, sensor)
     # A product of two blocks has a noise of 0.3^2, of which there are 6 in each of 400 pixels: 0.002 of 0.01.
     assert found[1] == pytest.approx(0.1 / 0.2, rel=0.3)
     assert found[2] < 0.25
