@@ -25,7 +25,9 @@ def sinusoid(stack: Stack, fringes: FringeSet) -> Iterator[Finding]:
     seen = harmonics(stack, fringes, exposure)
     if not np.isfinite(seen.residual):
         yield Finding(
-            name, "wrong", "no fringes are seen: fewer than a thousand pixels are modulated"
+            name,
+            "wrong",
+            "no fringes are seen: fewer than a thousand pixels are modulated and unsaturated",
         )
         return
     if len(fringes.frames) == 3:
