@@ -10,7 +10,7 @@ from scipy.cluster.vq import kmeans2
 from decode.fusion.merging import MaxModulationOfRepeats
 from evaluation.hdr.capture_strategies import PlannedCapture, Strategy, take
 from evaluation.hdr.light_budget import LightBudget, Reference, Shoot, Shot
-from evaluation.theory.cramer_rao import FringeLight, phase_bound_rad2
+from evaluation.theory.cramer_rao import UNKNOWN_RAD2, FringeLight, phase_bound_rad2
 from scenes.acquisition.patterns import PhaseShift
 from scenes.acquisition.sensor import Sensor
 from scenes.files.stack import Stack
@@ -20,8 +20,6 @@ from scenes.support.errors import ScoreError
 PIXELS = 256
 BRIGHTEST = 256
 FRINGE_SIGMAS = 3.0
-# A phase of which nothing is known is uniform over a turn.
-UNKNOWN_RAD = np.pi / np.sqrt(3.0)
 # Planned series: exposures, and the ratio of each to the next.
 COUNTS = (1, 2, 3, 4)
 RATIOS = (2.0, 4.0, 8.0, 16.0)
@@ -91,7 +89,7 @@ class _FirstLook:
             phase_bound_rad2(light, shifts, shot.times_ms, self.sensor, censored=False)
             for light in self.lights
         ]
-        worst = np.minimum(np.max(bounds, axis=0), UNKNOWN_RAD**2)
+        worst = np.minimum(np.max(bounds, axis=0), UNKNOWN_RAD2)
         return float(np.sqrt(np.average(worst, weights=self.weight)))
 
 

@@ -21,6 +21,8 @@ Image = NDArray[np.float64]
 CONFIDENCE = 0.95
 # A sample this many sigma beyond a limit is clipped for certain, to 1e-15; likewise not clipped.
 CLIPPING_CERTAIN_SIGMAS = 8.0
+# Variance of a phase that is uniform over a turn.
+UNKNOWN_RAD2 = np.pi**2 / 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,9 +191,9 @@ class Efficiency:
     """Efficiency over some pixels (bound over variance), and the bias that remains after averaging repeats."""
 
     pixels: int
-    """Pixels with a phase in every repeat and a finite bound."""
+    """Pixels with a phase in every repeat and a bound that says something."""
     value: float
-    """1 / mean over pixels of (variance / bound); 1 is the optimum."""
+    """1 / mean over pixels of (variance / bound); 1 is the optimum; NaN without pixels."""
     half_width: float
     """Of its confidence interval, from the scatter over pixels."""
     bias_rad: float
@@ -216,7 +218,8 @@ def efficiency(
     Returns
     -------
     Efficiency or None
-        None where no pixel has a phase in every repeat and a finite bound.
+        None where no pixel has a phase in every repeat and a finite bound. Pixels whose bound is above pi^2 / 3, the variance of
+        a phase of which nothing is known, count for the bias alone: a fringe that clips in all steps does not scatter.
 
     Raises
     ------
@@ -232,13 +235,13 @@ def efficiency(
         return None
     turned, bound = turned[:, good], np.asarray(bound_rad2, np.float64)[good]
     variance = turned.var(axis=0, ddof=1)
-    ratio = variance / bound
+    ratio = (variance / bound)[bound < UNKNOWN_RAD2]
     n = ratio.size
-    mean = float(ratio.mean())
+    mean = float(ratio.mean()) if n else float("nan")
     spread = float(ratio.std(ddof=1) / np.sqrt(n)) if n > 1 else float("inf")
     quantile = float(stats.norm.ppf(0.5 + CONFIDENCE / 2.0))
     bias2 = np.mean(turned.mean(axis=0) ** 2 - variance / repeats)
-    value = 1.0 / mean if mean > 0.0 else float("inf")
+    value = float("inf") if mean == 0.0 else 1.0 / mean
     return Efficiency(
         n, value, quantile * spread * value**2, float(np.sqrt(max(bias2, 0.0))), ratio
     )

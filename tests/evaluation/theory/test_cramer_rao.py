@@ -121,3 +121,15 @@ def test_one_pixel_has_an_efficiency_of_unknown_uncertainty() -> None:
     assert found is not None
     assert found.pixels == 1
     assert found.half_width == np.inf
+
+
+def test_pixel_whose_bound_says_nothing_has_no_efficiency() -> None:
+    """All steps clipped: no scatter, and a bound above the pi^2 / 3 of a phase that is uniform over a turn."""
+    alone = efficiency(np.full((3, 4), 0.2), np.full(4, 3.3))
+    found = efficiency(np.array([[0.1, 0.2], [-0.1, 0.2], [0.0, 0.2]]), np.array([0.01, 1e9]))
+    assert alone is not None and found is not None
+    assert np.isnan(alone.value)
+    # Its error is still one of the decoder.
+    assert alone.bias_rad == pytest.approx(0.2)
+    assert found.pixels == 1
+    assert found.value == pytest.approx(1.0)
