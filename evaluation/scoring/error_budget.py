@@ -5,7 +5,7 @@ Mean square errors of independent causes add. The rest is their interaction, whi
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -94,50 +94,37 @@ def budget(
     errors: Mapping[Causes, Floats],
     regions: Mapping[str, Mask],
     absent: Sequence[str] = (),
-    render_noise_mm: NDArray[np.float32] | None = None,
+    render_noise_mm: Mapping[Causes, NDArray[np.float32]] | None = None,
 ) -> ErrorBudget:
     """Compute the error budget from errors (repeat, row, col) in mm of all `variants`, NaN where not measured.
 
-    `render_noise_mm` is the standard deviation of height from the noise of light paths, (row, col). It cannot be
-    switched off, but it is known: it becomes a cause of its own, and is taken out of interreflection, whose paths it
-    comes from. Raises `ScoreError` if a variant is missing.
+    `render_noise_mm` is, of each variant, the standard deviation of height from the noise of its light paths, (row, col).
+    It cannot be switched off, but it is known: its square is taken out of each variant's mean square, and that of all
+    causes together becomes a cause of its own. Raises `ScoreError` if a variant is missing.
     """
-    missing = [sorted(v) for v in variants(causes) if v not in errors]
-    if missing:
-        raise ScoreError(f"errors of the variants {missing} are missing: a budget needs them all")
+    noise = render_noise_mm or {}
+    for known, what in ((errors, "errors"), (noise or errors, "render noise")):
+        missing = [sorted(v) for v in variants(causes) if v not in known]
+        if missing:
+            raise ScoreError(
+                f"{what} of the variants {missing} are missing: a budget needs them all"
+            )
     common = np.logical_and.reduce([np.isfinite(e).all(axis=0) for e in errors.values()])
     found = {
-        name: _region(causes, errors, region, common & region) for name, region in regions.items()
+        name: _region(causes, errors, noise, region, common & region)
+        for name, region in regions.items()
     }
-    if render_noise_mm is None:
-        return ErrorBudget(scene, tuple(causes), (*absent, RENDER_NOISE), found)
-    known = common & np.isfinite(render_noise_mm)
-    found = {
-        name: _with_render_noise(one, render_noise_mm[known & regions[name]])
-        for name, one in found.items()
-    }
-    return ErrorBudget(scene, (*causes, RENDER_NOISE), tuple(absent), found)
-
-
-def _with_render_noise(region: RegionBudget, noise_mm: NDArray[np.float32]) -> RegionBudget:
-    """The region with render noise of its own, taken out of interreflection, or of what is ideal without that."""
-    if not noise_mm.size or region.ideal_mm2 is None:
-        nothing = CauseShare(None, None, None, None, 0.0, 0.0)
-        return replace(region, causes={**region.causes, RENDER_NOISE: nothing})
-    square = float(np.mean(noise_mm.astype(np.float64) ** 2))
-    causes, ideal = dict(region.causes), region.ideal_mm2
-    host = causes.get("interreflection")
-    if host is not None and host.alone_mm2 is not None and host.removed_mm2 is not None:
-        alone, removed = host.alone_mm2 - square, host.removed_mm2 - square
-        causes["interreflection"] = replace(host, alone_mm2=alone, removed_mm2=removed)
-    else:
-        ideal -= square
-    causes[RENDER_NOISE] = CauseShare(square, square, 0.0, 0.0, 0.0, 0.0)
-    return replace(region, ideal_mm2=ideal, causes=causes)
+    if noise:
+        return ErrorBudget(scene, (*causes, RENDER_NOISE), tuple(absent), found)
+    return ErrorBudget(scene, tuple(causes), (*absent, RENDER_NOISE), found)
 
 
 def _region(
-    causes: Sequence[str], errors: Mapping[Causes, Floats], region: Mask, common: Mask
+    causes: Sequence[str],
+    errors: Mapping[Causes, Floats],
+    noise: Mapping[Causes, NDArray[np.float32]],
+    region: Mask,
+    common: Mask,
 ) -> RegionBudget:
     every: Causes = frozenset(causes)
     none: Causes = frozenset()
@@ -147,8 +134,11 @@ def _region(
     }
     square: dict[Causes, float] | None = None
     bias: dict[Causes, float] | None = None
+    rendered = None
     if common.any():
-        square = {v: float(np.mean(e[:, common] ** 2)) for v, e in errors.items()}
+        own = {v: _mean_square(n[common]) for v, n in noise.items()}
+        rendered = own.get(every)
+        square = {v: float(np.mean(e[:, common] ** 2)) - own.get(v, 0.0) for v, e in errors.items()}
         bias = {v: float(np.mean(e[:, common])) for v, e in errors.items()}
 
     def change(of: dict[Causes, float] | None, on: Causes, off: Causes) -> float | None:
@@ -171,12 +161,23 @@ def _region(
         interaction = (
             square[every] - square[none] - sum(s.alone_mm2 or 0.0 for s in shares.values())
         )
+    if noise:
+        change_of_mean = None if rendered is None else 0.0
+        shares[RENDER_NOISE] = CauseShare(
+            rendered, rendered, change_of_mean, change_of_mean, 0.0, 0.0
+        )
     return RegionBudget(
         int(region.sum()),
         int(common.sum()),
         covered[every],
-        None if square is None else square[every],
+        None if square is None else square[every] + (rendered or 0.0),
         None if square is None else square[none],
         interaction,
         shares,
     )
+
+
+def _mean_square(noise_mm: NDArray[np.float32]) -> float:
+    """Over the pixels whose noise is known; 0 where none is."""
+    known = noise_mm[np.isfinite(noise_mm)].astype(np.float64)
+    return float(np.mean(known**2)) if known.size else 0.0

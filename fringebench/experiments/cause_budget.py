@@ -41,6 +41,7 @@ CAUSES = (
 )
 # Causes that are in traced light, and causes that differ from picture to picture.
 OPTICAL = frozenset(CAUSES[4:6] + CAUSES[7:11])
+TRACED = OPTICAL | {"interreflection"}
 RANDOM = frozenset({"noise", "vibration", "source", "speckle", "bit-planes", "conveyor"})
 EXPOSED = RANDOM | {"rolling-shutter"}
 # Electrons; a full well that no light fills.
@@ -73,12 +74,13 @@ def budget(
     lights: dict[Causes, render.Transport] = {}
     slopes: dict[Causes, render.Transport] = {}
     moved: dict[Causes, list[render.Transport]] = {}
+    noise: dict[Causes, NDArray[np.float32]] = {}
     surfaces = render.surfaces(scene)
     truth = None
     errors: dict[Causes, Floats] = {}
     times: Sequence[float] = ()
     for on in variants(causes):
-        optical: Causes = on & OPTICAL
+        optical: Causes = on & TRACED
         if optical not in lights:
             name = "trace light with " + (", ".join(sorted(optical)) or "ideal optics")
             with steps.step(name) as done:
@@ -90,6 +92,11 @@ def budget(
         if truth is None:  # the first variant has everything on
             truth = render.truth(scene, lights[optical], surfaces)
             times = render.expose(lights[optical], seed=seed, steady=True).exposure_ms
+        seen: Causes = on & (TRACED | {"psf"})
+        if truth.render_noise_mm is not None and seen not in noise:
+            own = render.truth(lights[optical].scene, _behind(lights[optical], on), surfaces)
+            assert own.render_noise_mm is not None
+            noise[seen] = own.render_noise_mm
         if "conveyor" in on and optical not in moved:
             with steps.step("trace light of each picture"):
                 lit = [frame.projector for frame in scene.frames for _ in times]
@@ -111,7 +118,8 @@ def budget(
     assert truth is not None
     regions = {label: evaluation.scored(truth, label) for label in truth.labels}
     absent = [cause for cause in CAUSES if cause not in causes]
-    return add_up(scene.name, causes, errors, regions, absent, truth.render_noise_mm)
+    own_noise = {on: noise[on & (TRACED | {"psf"})] for on in errors} if noise else None
+    return add_up(scene.name, causes, errors, regions, absent, own_noise)
 
 
 def has_cause(scene: scenes.Scene, cause: str) -> bool:
@@ -175,8 +183,19 @@ def _trace(
     scene: scenes.Scene, on: Causes, seed: int, done: StepProgress, surfaces: render.Surfaces
 ) -> render.Transport:
     changed = without_causes(scene, OPTICAL - on)
+    if "interreflection" not in on:
+        direct = changed.sampling.model_copy(update={"depth": 1})
+        changed = changed.model_copy(update={"sampling": direct})
     footprint = float("footprint" in on)
     return render.trace(changed, seed=seed, footprint=footprint, progress=done, surfaces=surfaces)
+
+
+def _behind(transport: render.Transport, on: Causes) -> render.Transport:
+    """The light as the sensor of these causes sees it: with or without blur."""
+    if "psf" in on:
+        return transport
+    scene = transport.scene
+    return replace(transport, scene=scene.model_copy(update={"sensor": without_blur(scene.sensor)}))
 
 
 def _expose(
@@ -189,9 +208,8 @@ def _expose(
 ) -> scenes.Stack:
     scene = transport.scene
     scene = without_causes(scene, EXPOSED - on)
-    transport, sensor = replace(transport, scene=scene), scene.sensor
-    if "psf" not in on:
-        sensor = without_blur(sensor)
+    transport = replace(transport, scene=scene)
+    sensor = _behind(transport, on).scene.sensor
     clips, rounds = "saturation" in on, "quantisation" in on
     used = sensor if clips else _unlimited(sensor)
     if not rounds:
@@ -201,7 +219,6 @@ def _expose(
         seed=seed,
         sensor=used,
         exposures=times,
-        direct_only="interreflection" not in on,
         noise="noise" in on,
         steady=not on & RANDOM,
         slope=slope,

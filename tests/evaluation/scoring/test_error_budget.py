@@ -64,3 +64,19 @@ def test_squares_of_a_projector_are_measured_as_pixels_of_a_camera_see_them() ->
     found = budget("s", causes, made, {"all": np.ones(SHAPE, bool)}).regions["all"]
     assert found.causes["projector-pixels"].alone_mm2 == pytest.approx(1.0)
     assert found.interaction_mm2 == pytest.approx(0.0)
+
+
+def test_render_noise_of_each_variant_is_taken_out_of_its_error() -> None:
+    causes = ("footprint", "interreflection")
+    # RMS errors of the causes, and of the light's own noise, which here comes with a pixel's width, not with indirect light.
+    own = {(): 0.0, causes[:1]: 3.0, causes[1:]: 0.0, causes: 3.0}
+    real = {(): 1.0, causes[:1]: 2.0, causes[1:]: np.sqrt(6.0), causes: 3.0}
+    errors = {frozenset(v): np.full((1, *SHAPE), np.hypot(real[v], own[v])) for v in own}
+    noise = {frozenset(v): np.full(SHAPE, rms, np.float32) for v, rms in own.items()}
+    found = budget("s", causes, errors, {"all": np.ones(SHAPE, bool)}, (), noise).regions["all"]
+    alone = {c: share.alone_mm2 for c, share in found.causes.items()}
+    assert alone == pytest.approx({"footprint": 3.0, "interreflection": 5.0, "render-noise": 9.0})
+    assert found.total_mm2 == pytest.approx(18.0)
+    assert found.interaction_mm2 == pytest.approx(0.0)
+    with pytest.raises(ScoreError, match=r"render noise.*footprint"):
+        budget("s", causes, errors, {}, (), {frozenset(): noise[frozenset()]})
