@@ -18,7 +18,13 @@ from scenes.support.errors import FileError
 
 # Areas of two readers may differ by this share; what is left is the corners that replace circles.
 AGREE = 0.002
-COLOURS = {"outline": "#d8e3d0", "copper": "#c98f4d", "mask": "#f0d9a8", "paste": "#5a5f66"}
+COLOURS = {
+    "outline": "#d8e3d0",
+    "copper": "#c98f4d",
+    "mask": "#f0d9a8",
+    "paste": "#5a5f66",
+    "legend": "#ffffff",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +81,7 @@ def check_board(folder: Path, side: gerber.Side = "top") -> BoardCheck:
     pads = gerber.read_pads(paths["paste"])
     areas: dict[str, Area] = {}
     layers = []
-    for role in ("copper", "mask", "paste"):
+    for role in ("copper", "mask", "paste", "legend"):
         if role in paths:
             areas[role] = painted([(item.shape(), item.dark) for item in read(paths[role]).objects])
             layers.append(_compared(role, paths[role], areas[role]))
@@ -98,7 +104,7 @@ def _compared(role: str, path: Path, area: Area) -> LayerCheck:
 def _picture(areas: Mapping[str, Area]) -> Figure:
     figure = Figure(figsize=(9.0, 7.0), layout="constrained")
     axes = figure.subplots()
-    for role in ("outline", "copper", "mask", "paste"):
+    for role in ("outline", "copper", "mask", "legend", "paste"):
         if role in areas:
             parts = [p for p in shapely.get_parts(areas[role]) if p.geom_type == "Polygon"]
             rings = [r for p in parts for r in (p.exterior, *p.interiors)]

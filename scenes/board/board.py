@@ -1,7 +1,7 @@
 """A printed circuit board in a scene: artwork, layers, printed paste and defects."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -12,53 +12,21 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_
 from scenes.board import component_packages, gerber
 from scenes.board.component_packages import Component
 from scenes.board.defects import Defects
+from scenes.board.layers import Layers, Legend, Stackup
 from scenes.board.pad_layout import Area, Bounds, Layout, Pad, cut_pads, within_box
 from scenes.board.paste import Paste
 from scenes.board.warp import Warp, WarpedPlane
-from scenes.support.distribution import Quantity, draw, within
-from scenes.support.errors import FringebenchWarning, SceneError
+from scenes.support.distribution import draw
+from scenes.support.errors import FileError, FringebenchWarning, SceneError
 from scenes.support.frozen import Frozen
 
-# Labels of a board's surfaces, in order; ``contamination`` only where it may occur.
+# Labels of a board's surfaces, in order; the others only where they may occur.
 LABELS = ("base", "mask", "pad", "paste")
 CONTAMINATION = "contamination"
+LEGEND = "legend"
 
 # Streams of random numbers of a drawn region and of the warp; 0 is the layers, 1 to 3 and 5 are the print.
 REGION, WARP = 4, 6
-
-FINISHES = {"enig": "gold", "hasl": "solder", "tin": "tin", "osp": "copper"}
-
-Thickness = Annotated[Quantity, within(0.0, 1.0)]
-Positive = Annotated[Quantity, within(1e-4, 1.0)]
-
-
-class Layers(Frozen):
-    """Layers on the laminate, whose surface is z = 0. Thicknesses are drawn once per board."""
-
-    copper_mm: Positive = 0.035
-    """One ounce per square foot is 0.035 mm."""
-    finish: Literal["enig", "hasl", "tin", "osp"] = "enig"
-    """On the pads: gold over nickel, hot-air levelled solder, immersion tin, or bare copper under a preservative."""
-    finish_mm: Thickness = 0.005
-    mask_mm: Positive = 0.025
-    """Solder mask, the same on laminate and on copper."""
-    mask_material: str = "solder-mask-green"
-    laminate_material: str = "laminate"
-
-    @property
-    def pad_material(self) -> str:
-        """The finish's material."""
-        return FINISHES[self.finish]
-
-
-class Stackup(Frozen):
-    """A board's drawn heights above the laminate."""
-
-    copper_mm: float
-    pad_mm: float
-    """Surface that paste is printed on."""
-    mask_mm: float
-    """Of the mask over laminate; over copper it is `copper_mm` higher."""
 
 
 class BoardRegion(Frozen):
@@ -104,6 +72,8 @@ class BoardBase(Frozen):
     margin_mm: NonNegativeFloat = 1.0
     """Board left around `pads`."""
     layers: Layers = Layers()
+    legend: Legend | None = None
+    """Absent: none is printed."""
     warp: Warp = Warp()
     paste: Paste = Paste()
     defects: Defects = Defects()
@@ -118,7 +88,8 @@ class BoardBase(Frozen):
     def labels(self) -> tuple[str, ...]:
         """Labels of its surfaces."""
         contaminated = self.defects.contamination.probability > 0
-        return (*LABELS, CONTAMINATION) if contaminated else LABELS
+        others = ((LEGEND, self.legend is not None), (CONTAMINATION, contaminated))
+        return (*LABELS, *(label for label, there in others if there))
 
     @property
     def materials(self) -> tuple[str, ...]:
@@ -130,6 +101,7 @@ class BoardBase(Frozen):
             layers.pad_material,
             self.paste.material,
             self.defects.contamination.material,
+            *((self.legend.material,) if self.legend else ()),
         )
 
     def generator(self, *key: int) -> np.random.Generator:
@@ -142,7 +114,8 @@ class BoardBase(Frozen):
         copper, finish, mask = (
             draw(q, rng) for q in (layers.copper_mm, layers.finish_mm, layers.mask_mm)
         )
-        return Stackup(copper_mm=copper, pad_mm=copper + finish, mask_mm=mask)
+        legend = draw(self.legend.height_mm, rng) if self.legend else 0.0
+        return Stackup(copper_mm=copper, pad_mm=copper + finish, mask_mm=mask, legend_mm=legend)
 
     def warped_plane(self) -> WarpedPlane:
         """The drawn tilt and bow, world coordinates."""
@@ -172,6 +145,7 @@ class Files(Frozen):
     mask: Path | None = None
     copper: Path | None = None
     outline: Path | None = None
+    legend: Path | None = None
 
 
 class GerberBoard(BoardBase):
@@ -221,11 +195,25 @@ class GerberBoard(BoardBase):
             else near.buffer(self.mask_clearance_mm, join_style="mitre")
         )
         copper = gerber.read_area(paths["copper"], box, mirrored) if "copper" in paths else near
-        inside = tuple(pad for pad in pads if within_box(pad.outline, box))
-        cut = cut_pads(pads, box)
         return Layout(
-            inside, copper.intersection(board), openings.intersection(board), board, box, cut
+            tuple(pad for pad in pads if within_box(pad.outline, box)),
+            copper.intersection(board),
+            openings.intersection(board),
+            board,
+            box,
+            cut_pads(pads, box),
+            self._legend(paths, box).intersection(board),
         )
+
+    def _legend(self, paths: Mapping[gerber.Role, Path], box: Bounds) -> Area:
+        if self.legend is None:
+            return shapely.Polygon()
+        if "legend" not in paths:
+            raise FileError(
+                "[board.legend] asks for a legend, and the board's files have no legend layer of this side: name it "
+                "under [board.files] legend = ..., or leave [board.legend] out"
+            )
+        return gerber.read_area(paths["legend"], box, self.side == "bottom")
 
     def layer_paths(self) -> dict[gerber.Role, Path]:
         """The file of each layer that is used."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.board.board import CONTAMINATION, Board
+from scenes.board.board import CONTAMINATION, LEGEND, Board
 from scenes.board.deposits import PasteBridge, Print
 from scenes.board.printing import printed
 from scenes.board.surface import surfaces
@@ -55,7 +55,7 @@ def _bodies(board: Board, print_: Print) -> Iterable[Body]:
         "base": layers.laminate_material,
         "mask": layers.mask_material,
         "pad": layers.pad_material,
-    }
+    } | ({LEGEND: board.legend.material} if board.legend else {})
     x, y = print_.layout.centre_mm
     face_mm = FACE_MM if print_.warp.curvature_per_mm else None
     for label, surface in surfaces(print_.layout, print_.stackup, face_mm).items():

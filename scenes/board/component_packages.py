@@ -27,6 +27,10 @@ from scenes.support.frozen import Frozen
 
 Place = tuple[float, float]
 
+# Width of the legend's lines, and their distance from a part's pads, as KiCad's library draws them.
+LEGEND_LINE_MM = 0.12
+LEGEND_CLEAR_MM = 0.26
+
 # Pad length along the part, width across, and distance between the pads' centres, mm.
 CHIPS: dict[str, tuple[float, float, float]] = {
     "0201": (0.46, 0.40, 0.64),
@@ -219,7 +223,16 @@ def layout(
         board.intersection(frame),
         window,
         cut_pads(pads, window),
+        shapely.union_all([_frame(part) for part in parts]).intersection(frame),
     )
+
+
+def _frame(part: Component) -> Area:
+    """The line that the legend draws around a part."""
+    lands = shapely.union_all([land.pad for land in part.lands(0.0)])
+    outline = shapely.envelope(lands).buffer(LEGEND_CLEAR_MM, join_style="mitre").exterior
+    line = outline.buffer(LEGEND_LINE_MM / 2, join_style="mitre")
+    return _placed(line, part.position_mm, np.deg2rad(part.rotation_deg))
 
 
 def _land(name: str, pad: shapely.Polygon, inset_mm: float) -> Land:

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import shapely
 
-from scenes.board.board import Stackup
 from scenes.board.defects import PadDefects
+from scenes.board.layers import Stackup
 from scenes.board.pad_layout import Layout, Pad
 from scenes.board.warp import WarpedPlane
 from scenes.shapes.heightfield import Heightfield

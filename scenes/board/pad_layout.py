@@ -1,7 +1,7 @@
 """A board's artwork as polygons in board coordinates (mm, y up), from Gerber files or a list of parts."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import numpy as np
@@ -48,6 +48,8 @@ class Layout:
     """x and y from, x and y to."""
     cut: tuple[Pad, ...] = ()
     """Those that the box's edge cuts: not printed."""
+    legend: Area = field(default_factory=shapely.Polygon)
+    """What the legend's print covers, mask openings not yet left out."""
 
     @property
     def centre_mm(self) -> tuple[float, float]:

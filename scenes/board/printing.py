@@ -16,6 +16,7 @@ from pydantic import TypeAdapter
 from scenes.board.board import Board, GerberBoard
 from scenes.board.defects import PadDefects, draw_defects
 from scenes.board.deposits import Deposit, Print
+from scenes.board.layers import Legend
 from scenes.board.pad_layout import Layout, Pad, area_ratio, rounded
 from scenes.board.paste import Form, deposit
 from scenes.board.stray_paste import drawn_bridges, foreign_body, lifted, smear_tail
@@ -81,6 +82,8 @@ def artwork(board: Board) -> Layout:
             for name in ignored
         }
     )
+    if plain.legend:  # Its height does not change where it is.
+        plain = plain.model_copy(update={"legend": Legend()})
     return _artwork(plain.model_dump_json(), _stamps(board))
 
 

@@ -1,4 +1,4 @@
-"""The bare board as a surface: laminate, copper under its finish, and mask with its openings, each at its height.
+"""The bare board as a surface: laminate, copper under its finish, mask with its openings, and the legend on it.
 
 The artwork's outlines cut the plane into faces, each of one height; neighbouring faces share their corners, and where
 heights differ a vertical wall joins them. So the surface has neither gaps nor overlaps.
@@ -10,7 +10,8 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from scenes.board.board import Stackup
+from scenes.board.board import LEGEND
+from scenes.board.layers import Stackup
 from scenes.board.pad_layout import Layout
 
 Floats = NDArray[np.float64]
@@ -33,7 +34,7 @@ class BoardSurface:
 def surfaces(
     layout: Layout, stackup: Stackup, face_mm: float | None = None
 ) -> dict[str, BoardSurface]:
-    """Label -> triangles: `base` bare laminate, `mask`, and `pad` copper free of mask, with their upright edges.
+    """Label -> triangles, with their upright edges: `base` bare laminate, `mask`, `pad` copper free of it, `legend`.
 
     With `face_mm` faces are cut into squares of this size, so that the surface can be bent.
     """
@@ -43,7 +44,7 @@ def surfaces(
         kinds, heights, pads = kinds[parent], heights[parent], pads[parent]
     walls, wall_of = _walls(faces, heights)
     built = {}
-    for label in ("base", "mask", "pad"):
+    for label in ("base", "mask", "pad", LEGEND):
         chosen = np.flatnonzero(kinds == label)
         if not len(chosen):
             continue
@@ -69,22 +70,21 @@ def _faces(
     layout: Layout, stackup: Stackup
 ) -> tuple[list[shapely.Polygon], NDArray[np.str_], Floats, Ints]:
     """The plane's faces: polygons wound counter-clockwise, label, height, pad id."""
-    copper, openings, board = (
-        shapely.set_precision(area, GRID_MM)
-        for area in (layout.copper, layout.openings, layout.board)
-    )
-    lines = shapely.union_all(
-        [shapely.boundary(area) for area in (copper, openings, board)], grid_size=GRID_MM
-    )
+    printed_on = layout.legend.difference(layout.openings) if stackup.legend_mm else None
+    areas = [layout.copper, layout.openings, layout.board, printed_on or shapely.Polygon()]
+    areas = [shapely.set_precision(area, GRID_MM) for area in areas]
+    lines = shapely.union_all([shapely.boundary(area) for area in areas], grid_size=GRID_MM)
+    copper, openings, board, legend = areas
     cut = shapely.orient_polygons(shapely.get_parts(shapely.polygonize([lines])))
     inside = shapely.point_on_surface(cut)
-    for area in (copper, openings, board):
+    for area in areas:
         shapely.prepare(area)
     on_board = shapely.intersects(board, inside)
     cut, inside = cut[on_board], inside[on_board]
     metal, bare = shapely.intersects(copper, inside), shapely.intersects(openings, inside)
-    kinds = np.select([bare & metal, bare], ["pad", "base"], "mask")
-    covered = stackup.mask_mm + stackup.copper_mm * metal
+    marked = shapely.intersects(legend, inside)
+    kinds = np.select([bare & metal, bare, marked], ["pad", "base", LEGEND], "mask")
+    covered = stackup.mask_mm + stackup.copper_mm * metal + stackup.legend_mm * marked
     heights = np.select([bare & metal, bare], [stackup.pad_mm, 0.0], covered)
     owner = np.zeros(len(cut), dtype=np.int64)
     if layout.pads:

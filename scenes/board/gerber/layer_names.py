@@ -7,8 +7,8 @@ from typing import Literal
 
 from scenes.support.errors import FileError
 
-Role = Literal["paste", "mask", "copper", "outline"]
-ROLES: tuple[Role, ...] = ("paste", "mask", "copper", "outline")
+Role = Literal["paste", "mask", "copper", "outline", "legend"]
+ROLES: tuple[Role, ...] = ("paste", "mask", "copper", "outline", "legend")
 Side = Literal["top", "bottom"]
 
 _KINDS: dict[str, Role] = {
@@ -16,6 +16,7 @@ _KINDS: dict[str, Role] = {
     "soldermask": "mask",
     "copper": "copper",
     "profile": "outline",
+    "legend": "legend",
 }
 
 
@@ -80,6 +81,7 @@ def _named(files: Sequence[Path], side: Side) -> dict[Role, Path] | None:
         "mask": f"{side} mask",
         "copper": f"{side} copper",
         "outline": "mechanical outline",
+        "legend": f"{side} silk",
     }
     best: dict[Role, Path] = {}
     for rules in MATCH_RULES.values():

@@ -119,6 +119,16 @@ def test_bare_surface_covers_the_board_exactly_once(plain: Print) -> None:
     assert on_rim.all()
 
 
+def test_legend_frames_parts_clear_of_their_pads() -> None:
+    layout = artwork(board(FEW, legend={}))
+    frames = shapely.get_parts(layout.legend)
+    assert layout.legend.distance(layout.openings) > 0.1
+    for pad in layout.pads:
+        assert any(shapely.Polygon(frame.exterior).contains(pad.outline) for frame in frames)
+    assert "legend" not in board(FEW).labels
+    assert "legend" not in surfaces(layout, board(FEW).stackup())
+
+
 def test_exposed_copper_carries_its_pads_id(plain: Print) -> None:
     surface = surfaces(plain.layout, plain.stackup)["pad"]
     centre = surface.vertices[surface.faces].mean(axis=1)

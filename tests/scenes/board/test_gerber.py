@@ -13,6 +13,8 @@ import scenes
 from scenes.board import gerber
 from scenes.board.board import GerberBoard
 from scenes.board.printing import artwork, printed
+from scenes.board.surface import surfaces
+from scenes.labels.pad_truth import truth_of
 from scenes.support.errors import FileError, FringebenchError, FringebenchWarning, SceneError
 
 needs_names = pytest.mark.skipif(
@@ -61,8 +63,8 @@ def test_layers_of_a_folder_are_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("side", "names"),
     [
-        ("top", ["x.gtp", "x.gts", "x.gtl", "x.gko"]),
-        ("bottom", ["x.gbp", "x.gbs", "x.gbl", "x.gko"]),
+        ("top", ["x.gtp", "x.gts", "x.gtl", "x.gko", "x.gto"]),
+        ("bottom", ["x.gbp", "x.gbs", "x.gbl", "x.gko", "x.gbo"]),
     ],
 )
 def test_file_names_of_other_tools_are_known(
@@ -74,6 +76,39 @@ def test_file_names_of_other_tools_are_known(
     assert {role: path.name for role, path in found.items()} == dict(
         zip(gerber.ROLES, names, strict=True)
     )
+
+
+@needs_names
+def test_legend_is_printed_on_the_mask_and_not_in_its_openings(tmp_path: Path) -> None:
+    # A line over the first pad, its opening of 0.8 mm and the mask above and below; another across the covered track.
+    lines = f"%ADD10R,0.100000X2.000000*%\nD10*\n{mm(-2, 1)}D03*\n{mm(0, 1)}D03*\n"
+    write(square_board(tmp_path), "b-F_SilkS.gbr", lines)
+    board = GerberBoard.model_validate({"folder": tmp_path, "legend": {"height_mm": 0.01}})
+    built = surfaces(artwork(board), board.stackup())
+    upward: dict[float, float] = {}
+    everything = 0.0
+    for label, surface in built.items():
+        a, b, c = np.moveaxis(surface.vertices[surface.faces], 1, 0)
+        areas = np.cross(b - a, c - a)[:, 2] / 2
+        everything += float(areas.sum())
+        for z, area in zip(a[:, 2].round(9), areas, strict=True):
+            if label == "legend" and area > 1e-12:
+                upward[float(z)] = upward.get(float(z), 0.0) + float(area)
+    # Mask 0.025, copper 0.035, legend 0.01 mm; the track under the second line is 0.2 mm wide.
+    assert upward == pytest.approx({0.035: 0.1 * (1.2 + 1.8), 0.07: 0.1 * 0.2}, abs=1e-6)
+    # Seen from above the board is covered once.
+    assert everything == pytest.approx(100.0, rel=1e-9)
+    # What is printed with paste does not depend on the legend.
+    plain = printed(board.model_copy(update={"legend": None}))
+    assert printed(board).stackup.pad_mm == plain.stackup.pad_mm
+    assert truth_of(printed(board)) == truth_of(plain)
+    assert board.labels == ("base", "mask", "pad", "paste", "legend")
+
+
+@needs_names
+def test_legend_without_its_layer_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="no legend layer of this side: name it under"):
+        artwork(GerberBoard.model_validate({"folder": square_board(tmp_path), "legend": {}}))
 
 
 def test_bottom_is_mirrored(tmp_path: Path) -> None:

@@ -1,0 +1,50 @@
+"""Layers of a board on its laminate: materials, thicknesses, and the heights drawn from them."""
+
+from typing import Annotated, Literal
+
+from scenes.support.distribution import Quantity, within
+from scenes.support.frozen import Frozen
+
+FINISHES = {"enig": "gold", "hasl": "solder", "tin": "tin", "osp": "copper"}
+
+Thickness = Annotated[Quantity, within(0.0, 1.0)]
+Positive = Annotated[Quantity, within(1e-4, 1.0)]
+
+
+class Layers(Frozen):
+    """Layers on the laminate, whose surface is z = 0. Thicknesses are drawn once per board."""
+
+    copper_mm: Positive = 0.035
+    """One ounce per square foot is 0.035 mm."""
+    finish: Literal["enig", "hasl", "tin", "osp"] = "enig"
+    """On the pads: gold over nickel, hot-air levelled solder, immersion tin, or bare copper under a preservative."""
+    finish_mm: Thickness = 0.005
+    mask_mm: Positive = 0.025
+    """Solder mask, the same on laminate and on copper."""
+    mask_material: str = "solder-mask-green"
+    laminate_material: str = "laminate"
+
+    @property
+    def pad_material(self) -> str:
+        """The finish's material."""
+        return FINISHES[self.finish]
+
+
+class Legend(Frozen):
+    """Names and outlines of parts, printed on the mask; mask openings stay free of it."""
+
+    height_mm: Positive = 0.015
+    """Above the mask, drawn once per board. The default is assumed, not measured."""
+    material: str = "white-paint"
+
+
+class Stackup(Frozen):
+    """A board's drawn heights above the laminate."""
+
+    copper_mm: float
+    pad_mm: float
+    """Surface that paste is printed on."""
+    mask_mm: float
+    """Of the mask over laminate; over copper it is `copper_mm` higher."""
+    legend_mm: float = 0.0
+    """Of the legend above the mask; 0 without one."""
