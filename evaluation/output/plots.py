@@ -143,17 +143,16 @@ def error_map(rec: Reconstruction, truth: Truth, limit_um: float | None = None) 
     return map_figure(error, "Height error (measured − true)", "µm", limits=limits, cmap="RdBu_r")
 
 
-def error_histograms(rec: Reconstruction, truth: Truth, margin_px: int = 0) -> Figure:
-    """Histogram of height errors of every region with a measured pixel (`ScoreError` if none has), with its predicted
-    density.
+def error_histograms(rec: Reconstruction, truth: Truth) -> Figure:
+    """Histogram of height errors of every region with a measured pixel (`ScoreError` if none has).
 
     The predicted density is the mean of the pixels' normal densities. Errors beyond both 6 predicted sigmas and the
-    99th percentile are counted in the title, not drawn. `margin_px` narrows every region, see `evaluation.scored`.
+    99th percentile are counted in the title, not drawn.
     """
     error, sigma = height_error_mm(rec, truth) * UM_PER_MM, rec.sigma_mm * UM_PER_MM
     regions: dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
     for label in truth.labels:
-        use = scored(truth, label, margin_px) & np.isfinite(error)
+        use = scored(truth, label) & np.isfinite(error)
         if use.any():
             regions[label] = error[use], sigma[use & (sigma > 0)].astype(np.float64)
     if not regions:
@@ -161,12 +160,9 @@ def error_histograms(rec: Reconstruction, truth: Truth, margin_px: int = 0) -> F
     figure, places = panels(len(regions), min(3, len(regions)), 2.7, 1.7, foot=0.35)
     for axes, (label, (errors, predicted)) in zip(places, regions.items(), strict=True):
         _histogram(axes, label, errors, predicted)
-    handles = {
-        text: h
-        for axes in places
-        for h, text in zip(*axes.get_legend_handles_labels(), strict=True)
-    }
-    figure.legend(handles.values(), handles.keys(), loc="lower right", ncols=2, fontsize="small")
+    legends = [axes.get_legend_handles_labels() for axes in places]
+    shown = {text: handle for pair in legends for handle, text in zip(*pair, strict=True)}
+    figure.legend(shown.values(), shown.keys(), loc="lower right", ncols=2, fontsize="small")
     return figure
 
 
@@ -228,9 +224,17 @@ def figures(rec: Reconstruction, truth: Truth) -> Mapping[str, Figure]:
     }
     if np.isfinite(rec.modulation_dn).any():
         found["modulation"] = map_figure(rec.modulation_dn, "Modulation B", "DN")
-    if np.isfinite(rec.sigma_mm[rec.valid]).any():
-        sigma = np.where(rec.valid, rec.sigma_mm, np.nan) * UM_PER_MM
-        found["sigma"] = map_figure(sigma, "Predicted standard deviation", "µm")
+    stated = (
+        ("sigma", "Predicted standard deviation", rec.sigma_mm),
+        ("render_noise", "Standard deviation from render noise", truth.render_noise_mm),
+    )
+    noises = {
+        name: (title, np.where(rec.valid, mm, np.nan) * UM_PER_MM)
+        for name, title, mm in stated
+        if mm is not None and np.isfinite(mm[rec.valid]).any()
+    }
+    common = spread(np.array([um for _, um in noises.values()]))
+    found |= {n: map_figure(um, t, "µm", limits=common) for n, (t, um) in noises.items()}
     if rec.slope is not None and rec.slope_sigma is not None:
         for name, title, values in (
             ("slope", "Slope ∂z/∂x", rec.slope[0]),
@@ -238,9 +242,6 @@ def figures(rec: Reconstruction, truth: Truth) -> Mapping[str, Figure]:
         ):
             shown = np.where(rec.valid, values, np.nan) * URAD
             found[name] = map_figure(shown, title, "µrad")
-    if truth.render_noise_mm is not None:
-        noise = np.where(rec.valid, truth.render_noise_mm, np.nan) * UM_PER_MM
-        found["render_noise"] = map_figure(noise, "Standard deviation from render noise", "µm")
     if np.isfinite(height_error_mm(rec, truth)).any():
         found["histograms"] = error_histograms(rec, truth)
     through: dict[int, list[str]] = {}
@@ -248,9 +249,8 @@ def figures(rec: Reconstruction, truth: Truth) -> Mapping[str, Figure]:
         row = row_through(truth, label) if label in ("cap", "step", "solder") else None
         if row is not None:
             through.setdefault(row, []).append(label)
-    for row, labels in through.items():
-        found["profile-" + "-".join(labels)] = profile_figure(rec, truth, row)
-    return found
+    profiles = {"-".join(labels): row for row, labels in through.items()}
+    return found | {f"profile-{n}": profile_figure(rec, truth, at) for n, at in profiles.items()}
 
 
 def _histogram(

@@ -57,6 +57,17 @@ def test_standard_set_is_complete_and_is_saved(measured: Measured, tmp_path: Pat
         assert len(np.unique(np.asarray(image.convert("L")))) > 10
 
 
+def test_predicted_noise_and_render_noise_share_one_scale(measured: Measured) -> None:
+    rec, truth = measured
+    noisy = replace(truth, render_noise_mm=np.full(SHAPE, 0.03, np.float32))
+    found = plots.figures(rec, noisy)
+    # 10 um predicted, 30 um of render noise.
+    for name in ("sigma", "render_noise"):
+        np.testing.assert_allclose(
+            found[name].axes[0].images[0].get_clim(), (10.0, 30.0), rtol=1e-5
+        )
+
+
 def test_heights_alone_are_drawn(measured: Measured) -> None:
     rec, truth = measured
     alone = Reconstruction.of_heights(rec.height_mm, rec.valid)
