@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from render.image_borders import fringe_terms
-from render.point_spread import binned, blurred, spread_kernel
+from render.blur.image_borders import fringe_terms
+from render.blur.point_spread import binned, blurred, spread_kernel
 from render.transport import Transport
 from render.unsteady_light import STEADY, Moment
 from scenes.acquisition.sensor import Sensor, without_blur

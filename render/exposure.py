@@ -71,7 +71,7 @@ def expose(
         Seed of the sensor's fixed pattern; None: `seed`. Pictures taken with one chip share it.
     subpixels
         Traced pixels along each side of a pixel of the sensor, which the frames have: trace at `camera.resolution`
-        times this to blur edges more exactly (`render.point_spread`).
+        times this to blur edges more exactly (`render.blur.point_spread`).
     slope
         Of `render.height_slope`, for a scene with `vibration_um`; None: traced here, twice as costly as the transport.
     steady

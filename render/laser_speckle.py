@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from scipy import fft
 from scipy.special import gammaincinv, ndtr
 
+from render.blur.point_spread import diffraction_transfer, lens_cutoff
 from render.chip_image import Image
-from render.point_spread import diffraction_transfer, lens_cutoff
 from render.sensor_stages import Stream, random_stream
 from scenes.acquisition.sensor import Emva
 from scenes.scene import Scene

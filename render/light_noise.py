@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from render.blur.point_spread import blurred, spread_kernel
 from render.chip_image import Image
 from render.exposure_time import exposure_times_ms
 from render.fringe_phasor import ANY_PHASE, FinestFringe, finest_fringes, measuring_axis
-from render.point_spread import blurred, spread_kernel
 from render.transport import Transport
 from scenes.acquisition.fringe_fit import STRAY_FRACTION
 

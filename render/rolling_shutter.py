@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from render.chip_image import Image
 from render.sensor_stages import Floats
-from render.unsteady_light import STEADY, Moment, Part, moment
+from render.unsteady_light import STEADY, ExposurePart, Moment, moment
 from scenes.acquisition.sensor import Emva
 from scenes.scene import Scene
 
@@ -47,7 +47,7 @@ def pictures_seen(
     `random`: of what varies, everything, not only what is the same for every seed.
     """
 
-    def look(f: int, e: int, part: Part | None = None, ahead: int = 0) -> Seen:
+    def look(f: int, e: int, part: ExposurePart | None = None, ahead: int = 0) -> Seen:
         projector, weights = shown[f + ahead]
         now = STEADY
         if not still:
@@ -75,7 +75,7 @@ def pictures_seen(
 
 def row_parts(
     delays_ms: NDArray[np.floating], exposure_ms: float, overhead_ms: float, stays: bool
-) -> list[dict[int, Part]]:
+) -> list[dict[int, ExposurePart]]:
     """Parts of each row's exposure, which begins so much later (row,), that see the picture's own pattern (0) and the next (1).
 
     `stays`: no other pattern follows.
@@ -85,8 +85,8 @@ def row_parts(
     for delay_ms in delays_ms.tolist():
         late_ms = 0.0 if stays else min(max(delay_ms - overhead_ms, 0.0), exposure_ms)
         parts = {
-            0: Part(delay_ms, exposure_ms - late_ms),
-            1: Part(max(delay_ms, change_ms), late_ms, change_ms),
+            0: ExposurePart(delay_ms, exposure_ms - late_ms),
+            1: ExposurePart(max(delay_ms, change_ms), late_ms, change_ms),
         }
         found.append({n: part for n, part in parts.items() if part.length_ms > 0.0})
     return found

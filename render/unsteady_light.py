@@ -27,7 +27,7 @@ class Moment:
 STEADY = Moment()
 
 
-class Part(NamedTuple):
+class ExposurePart(NamedTuple):
     """A part of an exposure, in ms after the exposure of the first row begins."""
 
     begin_ms: float
@@ -52,14 +52,14 @@ def moment(
     projector: int,
     exposure_ms: float,
     random: bool = True,
-    part: Part | None = None,
+    part: ExposurePart | None = None,
 ) -> Moment:
     """What one exposure of one frame finds; independent of all others. Not `random`: what is the same for every seed.
 
     Flicker ``1 + d cos(2 pi f t)`` has a phase of its own in each exposure (the camera does not wait for it); averaged over
     an exposure of length T its depth is ``d |sinc(f T)|``. Of a `part`, what a row of a rolling shutter finds.
     """
-    part = part or Part(0.0, exposure_ms)
+    part = part or ExposurePart(0.0, exposure_ms)
     rng = random_stream(seed, Stream.MOMENT, exposure, frame)
     source, z = rng.standard_normal(2)
     phase = rng.uniform(0.0, 2.0 * np.pi)

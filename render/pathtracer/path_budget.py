@@ -69,7 +69,7 @@ class Pilot:
     chip: Complex
     """The same behind the lens, as long as it may well be."""
     kernel: Floats | None
-    """Of the lens, as `render.point_spread.spread_kernel` has it; None: no blur."""
+    """Of the lens, as `render.blur.point_spread.spread_kernel` has it; None: no blur."""
     indirect: tuple[Floats, Floats]
     """White indirect light of that projector as `smooth_indirect` has it, same unit."""
     sensor_rad: Floats

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from render.blur.point_spread import spread_kernel
 from render.fringe_phasor import FinestFringe, finest_fringes, white_weights
 from render.light_noise import Mask, SensorNoise, chosen, sensor_noises, through
 from render.pathtracer.block_light import BlockLight, Blocks, Images, scatter_about_direct
@@ -18,7 +19,6 @@ from render.pathtracer.path_budget import (
     paths_needed,
     smooth_indirect,
 )
-from render.point_spread import spread_kernel
 from render.transport import Transport
 
 Floats = NDArray[np.float64]

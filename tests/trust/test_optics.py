@@ -14,20 +14,10 @@ import render
 from scenes import Scene
 from scenes.acquisition.sensor import Emva
 from tests.render import rigs
-from tests.render.plugins.test_projector_pixels import FILL, SIGMA_PX
-from tests.render.test_bit_planes import (
-    test_phase_error_equals_that_of_a_simulation_of_single_mirrors as test_bit_planes,
-)
-from tests.render.test_illumination_map import (
-    test_map_of_a_polynomial_is_that_polynomial as test_illumination_map,
-)
-from tests.render.test_image_borders import (
+from tests.render.blur.test_image_borders import (
     test_phase_of_outermost_pixels_is_that_in_a_larger_image as test_image_borders,
 )
-from tests.render.test_motion import (
-    test_phase_of_a_moving_slope_is_its_closed_form as test_conveyor,
-)
-from tests.render.test_point_spread import (
+from tests.render.blur.test_point_spread import (
     F_NUMBERS,
     PITCH_UM,
     WAVELENGTH_UM,
@@ -35,8 +25,18 @@ from tests.render.test_point_spread import (
     edge_scene,
     sensor,
 )
-from tests.render.test_point_spread import (
+from tests.render.blur.test_point_spread import (
     test_encircled_energy_is_that_of_an_airy_disc as test_encircled_energy,
+)
+from tests.render.plugins.test_projector_pixels import FILL, SIGMA_PX
+from tests.render.test_bit_planes import (
+    test_phase_error_equals_that_of_a_simulation_of_single_mirrors as test_bit_planes,
+)
+from tests.render.test_illumination_map import (
+    test_map_of_a_polynomial_is_that_polynomial as test_illumination_map,
+)
+from tests.render.test_motion import (
+    test_phase_of_a_moving_slope_is_its_closed_form as test_conveyor,
 )
 from tests.render.test_rolling_shutter import (
     test_rows_meet_the_bit_planes_of_their_own_time as test_rolling_shutter,

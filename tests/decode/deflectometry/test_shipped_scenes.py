@@ -97,7 +97,7 @@ def test_pixels_are_mixed_where_their_centre_is_off_the_mirror(name: str, label:
     border = mirror & ~ndimage.binary_erosion(mirror, iterations=1)
     # An edge through a pixel's centre takes half of its light, whatever the blur, and half of its fringes, where these are wide
     # compared with a pixel (on the dome they are not). The rendered response to an edge is off by
-    # up to 3.5 % of it (`render.point_spread`), so that pixels are judged wrongly whose centre is so near to the edge.
+    # up to 3.5 % of it (`render.blur.point_spread`), so that pixels are judged wrongly whose centre is so near to the edge.
     assert (rec.valid & ~mirror).sum() < 0.035 * around.sum()
     assert (~rec.valid & mirror).sum() < 0.035 * border.sum()
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from render.image_borders import Complex, continued, margins_of
+from render.blur.image_borders import Complex, continued, margins_of
 from scenes.acquisition.sensor import Emva, Sensor
 from scenes.support import mapped
 
@@ -94,7 +94,7 @@ def blurred(
 
     At its borders an image is continued by its mirror image, so that the sum over it, the photons, stays what it was. Of images
     (projector, channel, row, col), `fringes` are the `fringe_terms` of each projector; they continue with their phase instead
-    (`render.image_borders`): light that leaves is not what enters. `subpixels` are those of `spread_kernel`.
+    (`render.blur.image_borders`): light that leaves is not what enters. `subpixels` are those of `spread_kernel`.
     """
     rows, columns = images.shape[-2:]
     what = f"blurred light of {columns} x {rows} pixels"

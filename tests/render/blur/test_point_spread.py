@@ -10,7 +10,7 @@ from scipy.special import j0, j1
 
 import render
 import scenes
-from render.point_spread import REACH, blurred, spread_kernel
+from render.blur.point_spread import REACH, blurred, spread_kernel
 from scenes.acquisition.sensor import Emva, SimpleSensor
 from scenes.support.errors import RenderError
 from tests.render.rigs import telecentric, telecentric_projector

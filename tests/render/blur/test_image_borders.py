@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 import render
 import scenes
+from render.blur.image_borders import fringe_terms
+from render.blur.point_spread import REACH, blurred, spread_kernel
 from render.chip_image import Image
 from render.fringe_phasor import finest_fringes
-from render.image_borders import fringe_terms
 from render.light_noise import sensor_noise
-from render.point_spread import REACH, blurred, spread_kernel
-from tests.render.test_point_spread import sensor, whole
+from tests.render.blur.test_point_spread import sensor, whole
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
