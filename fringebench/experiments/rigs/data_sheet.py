@@ -23,13 +23,17 @@ PROJECTOR = {
     "offset": rf"offset ?{NUMBER} ?%",
 }
 # Columns, rows and pixel pitch of chips. IMX249, IMX250, IMX267, IMX273: technical documentation of the mvBlueFOX3
-# (Matrix Vision), tables "Sensor and image data".
+# (Matrix Vision), tables "Sensor and image data". IMX342: the camera of the scene `measured-rig`.
 CHIPS = {
     "imx249": "1936x1216, 5.86 um",
     "imx250": "2464x2056, 3.45 um",
     "imx267": "4112x2176, 3.45 um",
     "imx273": "1456x1088, 3.45 um",
+    "imx342": "6464x4852, 3.45 um",
 }
+# Throw and offset belong to an optical module, not to its chip. This one is the projector of the scene `measured-rig`, by its
+# published calibration (Koch, Piadyk et al. 2021): fx / columns, and how far the principal point is from the middle.
+MODULES = {"dlp4710lc": "1920x1080, throw 1.4807, offset 103.03 %"}
 
 
 @dataclass(frozen=True)
@@ -51,7 +55,7 @@ def rig_of_sheets(
         For example ``"2448x2048, 3.45 um, f 16 mm, f/8"``; a chip of `CHIPS` replaces size and pitch.
     projector
         For example ``"1280x800, throw 1.4, offset 100 %"``: throw is distance over image width; at an offset of 100 %
-        the image's lower edge is level with the lens, at 0 % its middle is.
+        the image's lower edge is level with the lens, at 0 % its middle is. A module of `MODULES` replaces all three.
     distance_mm
         From the camera's pupil to z = 0, mm, more than 0.
     baseline_mm
@@ -77,9 +81,8 @@ def rig_of_sheets(
         raise SceneError(
             f"distance {distance_mm:g} mm, baseline {baseline_mm:g} mm: give --distance-mm above 0 and a --baseline-mm"
         )
-    chips = re.sub(r"\w+", lambda word: CHIPS.get(word[0].lower(), word[0]), camera)
-    eye = _read("--camera", chips, CAMERA, CHIPS)
-    light = _read("--projector", projector, PROJECTOR, {})
+    eye = _read("--camera", camera, CAMERA, CHIPS)
+    light = _read("--projector", projector, PROJECTOR, MODULES)
     need = ("columns x rows", "pixel pitch", "focal length")
     columns, rows, pitch_um, focal_mm = _values("--camera", camera, eye, need)
     fx = focal_mm / (pitch_um * 1e-3)
@@ -113,9 +116,10 @@ def rig_of_sheets(
 def _read(
     option: str, text: str, known: Mapping[str, str], names: Mapping[str, str]
 ) -> dict[str, tuple[float, ...]]:
-    """The values of a sheet by their names, each part of the text matched whole."""
+    """The values of a sheet by their names, each part of the text matched whole; a word of `names` stands for its sheet."""
     found: dict[str, tuple[float, ...]] = {}
-    for part in filter(None, (part.strip() for part in text.split(","))):
+    whole = re.sub(r"\w+", lambda word: names.get(word[0].lower(), word[0]), text)
+    for part in filter(None, (part.strip() for part in whole.split(","))):
         for name, pattern in known.items():
             match = re.fullmatch(pattern, part, re.IGNORECASE)
             if match is None:
@@ -131,12 +135,11 @@ def _read(
             found[name] = values
             break
         else:
-            hint = f"; chips: {nearest(part.lower(), names)}" if names else ""
             raise SceneError(
-                f"{option} '{text}': '{part}' is none of {', '.join(known)}{hint}; e.g. "
+                f"{option} '{text}': '{part}' is none of {', '.join(known)}; by name: {nearest(part.lower(), names)} E.g. "
                 + (
                     "'2448x2048, 3.45 um, f 16 mm, f/8'"
-                    if names
+                    if known is CAMERA
                     else "'1280x800, throw 1.4, offset 100 %'"
                 )
             )

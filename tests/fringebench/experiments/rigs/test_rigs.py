@@ -133,12 +133,25 @@ def test_rig_of_data_sheets_has_their_angles_and_lights_what_the_camera_sees() -
     assert 1.0 / np.ptp(rays[:, 0]) == pytest.approx(1.4)
 
 
+def test_modules_by_name_are_the_devices_of_the_measured_rig() -> None:
+    measured = scenes.load("measured-rig")
+    planned = rig_of_sheets("IMX342, f 51.3 mm", "DLP4710LC", 800.0, 200.0).calibration
+    # Pixel pitch and the calibrated focal length, 51.3 mm; the camera's axis is not the middle of its chip, within 1 %.
+    camera = measured.camera.projection()
+    assert planned.camera.projection().fx / 6464 == pytest.approx(
+        camera.fx / camera.width, rel=3e-3
+    )
+    named, light = planned.projectors[0].projection(), measured.projectors[0].projection()
+    assert (named.fx, named.cy) == pytest.approx((light.fx, light.cy), rel=1e-3)
+
+
 @pytest.mark.parametrize(
     ("camera", "projector", "said"),
     [
         ("2448x2048, f 16 mm", "1280x800, throw 1.4", "add the pixel pitch"),
         ("IMX25, f 16 mm", "1280x800, throw 1.4", "did you mean 'imx250'"),
         ("IMX250, f 16 mm", "1280x800, throw -1", "more than 0"),
+        ("IMX250, f 16 mm", "DLP4710", "did you mean 'dlp4710lc'"),
         ("IMX250, f 16 mm, f 8 mm", "1280x800, throw 1", "given twice"),
         ("IMX250, f 16 mm", "1280x800, throw 1, throw.", "none of"),
     ],
