@@ -9,7 +9,8 @@ from scipy import stats
 
 import render
 import scenes
-from render.light_noise import SensorNoise
+from render.fringe_phasor import finest_fringes
+from render.light_noise import SensorNoise, sensor_noise
 from render.pathtracer import block_light
 from render.pathtracer.block_light import BlockLight, Blocks
 from render.pathtracer.cut_light import cut_to_sensor_noise, judged_pixels
@@ -36,6 +37,16 @@ def phasor(light: render.Transport) -> NDArray[np.complex128]:
     return np.asarray(light.total[0, 1] + 1j * light.total[0, 2], dtype=np.complex128)
 
 
+def bright_groove(depth: int, period_px: float = 16.0) -> scenes.Scene:
+    """A groove whose fringes the sensor measures: ten times the light of the rig's exposure."""
+    groove = rigs.scene(
+        rigs.pinhole(), rigs.pinhole_projector(), objects=rigs.groove(), depth=depth
+    )
+    return scenes.parse(
+        scenes.dumps(groove), {"exposures.times_ms": [10.0], "patterns.periods_px": [period_px]}
+    )
+
+
 # Some seeds miss the target on the few pixels of solder; what is stated must be right all the same.
 @pytest.mark.filterwarnings("ignore:noise of light paths")
 @pytest.mark.slow
@@ -58,7 +69,7 @@ def test_stated_noise_is_the_scatter_between_seeds() -> None:
 
 
 def test_mean_light_is_that_of_the_plain_pass() -> None:
-    scene = rigs.scene(rigs.pinhole(), rigs.pinhole_projector(), objects=rigs.groove(), depth=4)
+    scene = bright_groove(4)
 
     def mean(light: render.Transport) -> float:
         return float((light.total[0, 0] - light.direct[0, 0]).mean(dtype=np.float64))
@@ -122,6 +133,45 @@ def test_cut_light_is_the_mean_turn_of_phase_and_not_its_noise() -> None:
     # A product of two blocks has a noise of 0.3^2, of which there are 6 in each of 400 pixels: 0.002 of 0.01.
     assert found[1] == pytest.approx(0.1 / 0.2, rel=0.3)
     assert found[2] < 0.25
+
+
+def test_stated_cut_light_is_that_of_a_deeper_trace() -> None:
+    scene = bright_groove(3, 256.0)
+    made = render.surfaces(scene)
+
+    def finest(seed: int, depth: int) -> NDArray[np.complex128]:
+        light = render.trace(scene, seed=seed, samples=2048, depth=depth, surfaces=made)
+        fringe = finest_fringes(light.scene.patterns, light.bases)[0]
+        cosine, sine = fringe.phasor(light.total[0, : len(light.bases[0].channels)], 0)
+        return np.asarray(cosine + 1j * sine)
+
+    shallow, deep = (np.stack([finest(100 * s + n, n) for s in range(24)]) for n in (3, 12))
+    mean = shallow.mean(axis=0)
+    turn = (((deep - shallow) * mean.conj()).imag / np.abs(mean) ** 2).reshape(6, 4, *mean.shape)
+    # Products of different seeds of four have no noise of their own on average.
+    squares = (turn.sum(axis=1) ** 2 - (turn**2).sum(axis=1)) / 12.0
+    light = render.trace(scene, seed=1, samples=256, surfaces=made)
+    truth = render.truth(scene, light)
+    sensor = sensor_noise(light, truth.lit_by)
+    assert sensor is not None
+    seen = {}
+    for label in truth.labels:
+        at = truth.region(label) & np.isfinite(sensor.phase_rad)
+        if not at.any():
+            continue
+        power = np.mean(sensor.phase_rad[at] ** 2)
+        groups = squares[:, at].mean(axis=1) / power
+        seen[label] = groups.mean(), stats.sem(groups)
+    stated = [
+        render.trace(scene, seed=s, render_noise=4.0, surfaces=made).render_noise for s in range(8)
+    ]
+    for label, (expected, error) in seen.items():
+        found = [one.cut[label] ** 2 for one in stated if one is not None]
+        off = np.mean(found) - expected
+        # Four standard errors of both; teeth: a third more or less light would be seen.
+        both = np.hypot(stats.sem(found), error)
+        assert abs(off) < 4.0 * both
+        assert both < 0.2 * expected
 
 
 def test_file_keeps_the_light_cut_by_depth_and_none_is_cut_at_depth_64(tmp_path: Path) -> None:
