@@ -168,7 +168,7 @@ def test_stated_cut_light_is_that_of_a_deeper_trace() -> None:
     for label, (expected, error) in seen.items():
         found = [one.cut[label] ** 2 for one in stated if one is not None]
         off = np.mean(found) - expected
-        # Four standard errors of both; teeth: a third more or less light would be seen.
+        # Four standard errors of both, which are below a fifth: nothing, or twice what is cut, would be seen.
         both = np.hypot(stats.sem(found), error)
         assert abs(off) < 4.0 * both
         assert both < 0.2 * expected
