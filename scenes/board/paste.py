@@ -125,6 +125,9 @@ class Paste(Frozen):
     shift_y_mm: Quantity = 0.0
     turn_deg: Quantity = 0.0
     """Turn of the stencil about the middle of the region, drawn once a print."""
+    stretch: Annotated[Quantity, within(-0.01, 0.01)] = 0.0
+    """How much larger than the board the stencil is, mm per mm from the middle of the region, drawn once a print: it
+    moves openings and leaves their sizes."""
     offset_x_mm: Quantity = 0.0
     """Scatter of each deposit about its aperture."""
     offset_y_mm: Quantity = 0.0

@@ -38,6 +38,7 @@ class _Registration:
     stencil_mm: float
     shift_mm: tuple[float, float]
     turn_rad: float
+    stretch: float
 
 
 def printed(board: Board) -> Print:
@@ -57,6 +58,7 @@ def _printed(board_json: str, stamps: tuple[tuple[str, int, int], ...]) -> Print
         draw(paste.stencil_mm, rng),
         (draw(paste.shift_x_mm, rng), draw(paste.shift_y_mm, rng)),
         float(np.deg2rad(draw(paste.turn_deg, rng))),
+        draw(paste.stretch, rng),
     )
     made = [_deposit(board, layout, pad, registration) for pad in layout.pads]
     tree = shapely.STRtree([deposit.footprint for deposit in made])
@@ -169,7 +171,8 @@ def _deposit(board: Board, layout: Layout, pad: Pad, registration: _Registration
         board.generator(PAD, pad.id, 2),
     )
     offset = offset + 2.0 * float(half.min()) * np.asarray(defects.shift)
-    xy = _turned(shaped.xy_mm, slant + turn + defects.rotation_rad) + offset + centre
+    xy = _turned(shaped.xy_mm, slant + turn + defects.rotation_rad) + offset
+    xy = xy + (1.0 + registration.stretch) * centre
     xy = _turned(xy, registration.turn_rad) + registration.shift_mm
     field = Heightfield(xy, shaped.faces, shaped.rims, shaped.height_mm)
     whole = Deposit(pad, aperture, defects, ratio, efficiency, field, speck=speck)

@@ -236,16 +236,17 @@ def test_touching_deposits_are_a_bridge() -> None:
 
 
 def test_registration_moves_all_deposits_together() -> None:
-    paste = QUIET | {"shift_x_mm": 0.05, "turn_deg": 1.0}
+    paste = QUIET | {"shift_x_mm": 0.05, "turn_deg": 1.0, "stretch": 0.002}
     truth = truth_of(printed(board(FEW, paste=paste)))
     angle = np.deg2rad(1.0)
     for pad in truth.pads:
-        turned = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) @ [
-            pad.x_mm,
-            pad.y_mm,
-        ]
+        rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        turned = 1.002 * rotation @ [pad.x_mm, pad.y_mm]
         assert pad.offset_x_mm == pytest.approx(turned[0] + 0.05 - pad.x_mm, abs=1e-9)
         assert pad.offset_y_mm == pytest.approx(turned[1] - pad.y_mm, abs=1e-9)
+    # Openings move and keep their sizes: what each holds is the same.
+    plain = truth_of(printed(board(FEW)))
+    assert [p.area_mm2 for p in truth.pads] == pytest.approx([p.area_mm2 for p in plain.pads])
 
 
 def test_variation_follows_its_distribution() -> None:
