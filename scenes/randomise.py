@@ -55,6 +55,9 @@ def realise(scene: Scene, index: int, seed: int = 0, light_index: int | None = N
         overrides[key] = distribution.draw(_generator(seed, drawn_for, *stream))
     if scene.board is not None:
         overrides["board.seed"] = int(_generator(seed, light, BOARD).integers(2**63))
+        transfer = scene.board.paste.transfer
+        if transfer.wipe_every:  # The samples are the prints of one run.
+            overrides["board.paste.transfer.print_number"] = transfer.print_number + light
     concrete = scene.model_copy(update={"randomise": {}})
     return parse(dumps(concrete), overrides, where=f"{scene.name}, sample {index} of seed {seed}")
 

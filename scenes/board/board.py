@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from string import digits
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -17,7 +18,7 @@ from scenes.board.pad_layout import Area, Bounds, Layout, Pad, cut_pads, within_
 from scenes.board.paste import Paste
 from scenes.board.warp import Warp, WarpedPlane
 from scenes.support.distribution import draw
-from scenes.support.errors import FileError, FringebenchWarning, SceneError
+from scenes.support.errors import FileError, FringebenchWarning, SceneError, nearest
 from scenes.support.frozen import Frozen
 
 # Labels of a board's surfaces, in order; the others only where they may occur.
@@ -165,6 +166,11 @@ class GerberBoard(BoardBase):
     def _has_files(self) -> Self:
         if self.folder is None and self.files.paste is None:
             raise ValueError("give folder, or files.paste")
+        for name in self.paste.packages:
+            if name.rstrip(digits) != "P":
+                raise ValueError(
+                    f"paste.packages: '{name}' is not known, as a paste layer names no parts: use P12 for pad 12, P for all"
+                )
         return self
 
     def layout(self) -> Layout:
@@ -238,6 +244,14 @@ class ParametricBoard(BoardBase):
     """Stencil openings are smaller than pads by this on every side."""
     mask_clearance_mm: Annotated[float, Field(gt=0.0, le=0.5)] = 0.05
     """Mask openings are larger than pads by this on every side."""
+
+    @model_validator(mode="after")
+    def _packages_known(self) -> Self:
+        known = {name for part in self.parts for name in part.names}
+        for name in self.paste.packages:
+            if name not in known:
+                raise ValueError(f"paste.packages: no part is '{name}': {nearest(name, known)}")
+        return self
 
     def layout(self) -> Layout:
         """The artwork, cut to the region."""

@@ -5,6 +5,7 @@ Stencil openings are the pads, less `aperture_inset_mm` on every side; a QFN's t
 """
 
 from dataclasses import dataclass
+from string import digits
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -58,6 +59,12 @@ class PartBase(Frozen):
     """Of its centre, board coordinates."""
     rotation_deg: float = 0.0
     """Counter-clockwise."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name, its letters, size and package: under any of them `paste.packages` may have it."""
+        kinds = (getattr(self, key, None) for key in ("size", "package"))
+        return (self.name, self.name.rstrip(digits), *(kind for kind in kinds if kind))
 
 
 class Chip(PartBase):
@@ -211,7 +218,7 @@ def layout(
                 suffix = f".{i + 1}" if len(land.openings) > 1 else ""
                 aperture = rounded(moved(shape, (-centre[0], -centre[1])))
                 name = f"{part.name}-{land.name}{suffix}"
-                pads.append(Pad(len(pads) + 1, name, centre, aperture))
+                pads.append(Pad(len(pads) + 1, name, centre, aperture, part.names))
     window = box or board.bounds
     frame = shapely.box(*window)
     metal = shapely.union_all(copper)

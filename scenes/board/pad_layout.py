@@ -26,6 +26,8 @@ class Pad:
     """Where the artwork places it, board coordinates."""
     aperture: shapely.Polygon
     """The opening, relative to `centre_mm`."""
+    part: tuple[str, ...] = ()
+    """Name, its letters, size and package of its part, where known."""
 
     @property
     def outline(self) -> shapely.Polygon:

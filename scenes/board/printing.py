@@ -7,6 +7,7 @@ deposit is the same in every region of the board.
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+from string import digits
 
 import numpy as np
 import shapely
@@ -137,7 +138,7 @@ def _deposit(board: Board, layout: Layout, pad: Pad, registration: _Registration
     stroke = _turned(np.eye(2)["xy".index(paste.stroke)], -slant)
     centre = np.asarray(pad.centre_mm) - layout.centre_mm
     ratio = area_ratio(pad.aperture, registration.stencil_mm)
-    transfer = paste.transfer
+    transfer = paste.transfer_to(pad.part or (pad.name, pad.name.rstrip(digits)))
     reach = np.abs(stroke) @ half, np.abs(stroke[::-1]) @ half
     efficiency = transfer.efficiency(ratio, float((reach[1] - reach[0]) / (reach[0] + reach[1])))
     deviate = np.sqrt(1.0 - transfer.neighbours) * board.generator(PAD, pad.id, 3).standard_normal()

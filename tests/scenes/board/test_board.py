@@ -13,9 +13,9 @@ from scenes.board.board import Board, ParametricBoard
 from scenes.board.component_packages import Bga, Chip, Qfn, Qfp
 from scenes.board.deposits import Print
 from scenes.board.pad_layout import circle, rectangle
-from scenes.board.paste import Transfer
 from scenes.board.printing import artwork, printed
 from scenes.board.surface import surfaces
+from scenes.board.transfer import Transfer
 from scenes.labels.pad_truth import BoardTruth, PadTruth, truth_of
 from scenes.support.errors import SceneError
 

@@ -8,7 +8,8 @@ import shapely
 import trimesh
 
 from scenes.board.pad_layout import area_ratio, disk
-from scenes.board.paste import Form, Paste, Transfer, deposit
+from scenes.board.paste import Form, Paste, deposit
+from scenes.board.transfer import Transfer
 from scenes.shapes.heightfield import Heightfield
 from scenes.shapes.tessellation import tessellate
 from scenes.support.errors import MeshError
