@@ -27,20 +27,14 @@ _SECOND: Mapping[str, Any] = {
     "pose": {"origin_mm": [-25.0, 0.0, 300.0]},
 }  # fmt: skip
 _FRINGES = {"kind": "phase-shift", "periods_px": [32.0, 256.0, 1024.0]}
+_ON_SCREEN = {"kind": "phase-shift", "periods_px": [32.0, 256.0, 1280.0], "axes": ["column", "row"]}
+_DOTS, _EVEN = {"kind": "random-dots"}, {"kind": "even"}
 METHODS: Mapping[str, Mapping[str, Any]] = {
     "fringe-projection": {"projectors": [_LAMP], "patterns": _FRINGES},
     "phase-stereo": {"projectors": [_LAMP], "patterns": _FRINGES, "second_camera": _SECOND},
-    "active-stereo": {
-        "projectors": [_LAMP],
-        "patterns": {"kind": "random-dots"},
-        "second_camera": _SECOND,
-    },
-    "passive-stereo": {
-        "projectors": [_LAMP],
-        "patterns": {"kind": "even"},
-        "second_camera": _SECOND,
-    },
-    "deflectometry": {},
+    "active-stereo": {"projectors": [_LAMP], "patterns": _DOTS, "second_camera": _SECOND},
+    "passive-stereo": {"projectors": [_LAMP], "patterns": _EVEN, "second_camera": _SECOND},
+    "deflectometry": {"patterns": _ON_SCREEN},
 }
 _CAP = {"kind": "cap", "radius_mm": 6.0, "height_mm": 2.5}
 _DOME = {"kind": "cap", "profile": "spherical", "radius_mm": 6.0, "height_mm": 1.6, "rings": 64, "segments": 128}  # fmt: skip
@@ -60,6 +54,9 @@ SURFACES: Mapping[str, tuple[str, Mapping[str, Any]]] = {
 ZOOM = 8.0
 # Side of a random dot in camera pixels.
 DOT_CAMERA_PX = 2.5
+# Columns of the camera from which fringes are as listed, 4 to 7 camera pixels wide; of half that, pixels and lens leave a mirrored
+# screen's fringes a fifth of their contrast.
+FRINGE_COLUMNS = 200
 # A height off by more than this share of the height range is wrong: 0.3 mm, half a pixel of disparity; 0.04 mm on grains.
 WRONG = 0.06
 # Share of the pixels above which a cause is named.
@@ -124,10 +121,7 @@ def map_scene(method: str, surface: str, resolution: tuple[int, int], samples: i
     base = "white-paint" if surface == "translucent" else "grey-paint"
     bed = {"kind": "box", "size_mm": [1.2, 1.2, 0.09]}
     flux = [{"label": "flux", "material": "flux", "shape": bed}] if surface == "grains" else []
-    if method == "active-stereo":
-        # The projector's pixels are smaller by the ratio of focal lengths; both are 300 mm away.
-        dot = DOT_CAMERA_PX * _LAMP["fx_px"] / _SECOND["fx_px"] * 640.0 / resolution[0]
-        changes["patterns"] = {"kind": "random-dots", "dot_px": max(1.0, dot)}
+    changes["patterns"] = _seen_by(resolution[0], METHODS[method]["patterns"])
     label = "object" if method == "deflectometry" else "base"
     return scenes.load(
         "mirror-deflectometry",
@@ -151,6 +145,19 @@ def map_scene(method: str, surface: str, resolution: tuple[int, int], samples: i
             ],
         },
     )  # fmt: skip
+
+
+def _seen_by(columns: int, patterns: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Patterns coarse enough for a camera of so many columns."""
+    if patterns["kind"] == "random-dots":
+        # The projector's pixels are smaller by the ratio of focal lengths; both are 300 mm away.
+        dot = DOT_CAMERA_PX * _LAMP["fx_px"] / _SECOND["fx_px"] * 640.0 / columns
+        return {**patterns, "dot_px": max(1.0, dot)}
+    if "periods_px" not in patterns or columns >= FRINGE_COLUMNS:
+        return patterns
+    widest = patterns["periods_px"][-1]
+    wider = {min(p * FRINGE_COLUMNS / columns, widest) for p in patterns["periods_px"]}
+    return {**patterns, "periods_px": sorted(wider)}
 
 
 def _zoomed(value: Any, zoom: float) -> Any:

@@ -89,7 +89,8 @@ def map_report(found: MethodMap, spent: Mapping[str, float]) -> Report:
 
 
 def _words(cell: Cell) -> str:
-    measured = number(cell.coverage, 100, 0) + " %"
+    # No-break spaces: a narrow cell must not part a number from its unit.
+    measured = number(cell.coverage, 100, 0) + "\u00a0%"
     if cell.rms_mm is not None and cell.coverage >= FEW:
-        measured += f"\n{number(cell.rms_mm, 1e3, 0)} µm"
-    return measured + (f"\n{cell.why} {number(cell.why_share, 100, 0)} %" if cell.why else "")
+        measured += f"\n{number(cell.rms_mm, 1e3, 0)}\u00a0µm"
+    return measured + (f"\n{cell.why} {number(cell.why_share, 100, 0)}\u00a0%" if cell.why else "")
