@@ -21,6 +21,7 @@ from evaluation.output.plots import (
     spread,
     symmetric,
 )
+from evaluation.output.scene_pictures import reason_panel
 from evaluation.output.sheet import CLIPPED, Panel, category_colours, gray_limits
 from evaluation.scoring.regions import height_error_mm
 from scenes.acquisition.patterns import Frame
@@ -111,7 +112,7 @@ def inspector_of(stack: Stack, rec: Reconstruction, truth: Truth | None = None) 
         values["wrapped phase"] = (rec.wrapped_rad, "rad")
         values["fringe order"] = (rec.fringe_order, "")
     values |= {"modulation B": (rec.modulation_dn, "DN"), "offset A": (rec.offset_dn, "DN")}
-    maps.append(Panel("Why rejected", rec.reason, names=names))
+    maps.append(reason_panel(rec))
     used = np.where(rec.exposure == 255, 0, rec.exposure.astype(np.int32) + 1)
     words["exposure used"] = (
         used,

@@ -2,17 +2,21 @@
 
 import base64
 import gzip
+import io
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import decode
 import scenes
 from evaluation.output.inspector import MAX_BYTES, Inspector, inspector_of
 from evaluation.output.report import Report, Section
+from evaluation.output.scene_pictures import reason_map
 
 SIZE = (12, 16)
 
@@ -46,6 +50,18 @@ def test_inspector_holds_every_sample_and_result_of_its_pixels() -> None:
     np.testing.assert_array_equal(samples, np.moveaxis(stack.frames, (0, 1), (2, 3)))
     order = {value["title"]: value["data"] for value in shown["values"]}["fringe order"]
     np.testing.assert_array_equal(unpacked(order, "<f4").reshape(SIZE), rec.fringe_order)
+
+
+def test_reasons_have_the_colours_of_the_picture_beside_it() -> None:
+    stack = stack_of(exposures=1)
+    rec = decode.reconstruct(stack, height="phase")
+    reason = np.resize(np.array([0, 3, 13, 12], np.uint8), SIZE)
+    rec = replace(rec, reason=reason)
+    shown = json.loads(inspector_of(stack, rec).to_json())["maps"][-1]["image"]
+    png = base64.b64decode(shown.partition(",")[2])
+    image = reason_map(rec).axes[0].images[0]
+    drawn = image.to_rgba(image.get_array(), bytes=True)[..., :3]
+    np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(png))), drawn)
 
 
 def test_large_stack_is_thinned_but_keeps_listed_pixels() -> None:
