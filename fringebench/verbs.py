@@ -126,7 +126,7 @@ def compare(
     ------
     ScoreError
         For an unknown strategy, fewer than one repeat, or patterns without fringes.
-    DecoderError
+    OutsideDecoderError
         For a decoder that is neither a name, a command nor a callable.
 
     Examples

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from decode import Reconstruction
 from fringebench.gate.worker import PARTS
 from scenes.files import exr
-from scenes.support.errors import DecoderError
+from scenes.support.errors import OutsideDecoderError
 
 Floats = NDArray[np.float64]
 Shape = tuple[int, ...]
@@ -46,22 +46,22 @@ def checked(parts: Any, shape: Shape) -> Answer:
     """A decoder's answer, checked: a `Reconstruction`, heights in mm (row, col), or a tuple of heights, mask and
     perhaps sigma.
 
-    Raises `DecoderError` for another number of arrays, shape or kind of number, a mask that is not 0 or 1, a negative
+    Raises `OutsideDecoderError` for another number of arrays, shape or kind of number, a mask that is not 0 or 1, a negative
     sigma.
     """
     arrays = parts if isinstance(parts, (list, tuple)) else [parts]
     if not 1 <= len(arrays) <= len(PARTS):
-        raise DecoderError(
+        raise OutsideDecoderError(
             f"the decoder returned {len(arrays)} things: expected heights, or heights and mask, or these and sigma"
         )
     for array, name in zip(arrays, PARTS, strict=False):
         if array.shape != shape or array.dtype.kind not in "fbiu":
-            raise DecoderError(
+            raise OutsideDecoderError(
                 f"the decoder's {name} are {array.dtype} of shape {array.shape}: expected numbers of the frames' shape "
                 f"{shape} (row, col)"
             )
     if arrays[0].dtype.kind != "f":
-        raise DecoderError(
+        raise OutsideDecoderError(
             f"the decoder's heights are {arrays[0].dtype}: give floating point millimetres, NaN where there is none"
         )
     height = arrays[0].astype(np.float64)
@@ -75,7 +75,7 @@ def _mask(array: NDArray[Any]) -> NDArray[np.bool_]:
     """A mask as booleans, if it is one."""
     wrong = array[~((array == 0) | (array == 1))]
     if wrong.size:
-        raise DecoderError(
+        raise OutsideDecoderError(
             f"the decoder's mask holds {wrong.flat[0]!s}: give booleans, or 1 where a height is valid and 0 elsewhere"
         )
     return np.asarray(array == 1)
@@ -87,14 +87,14 @@ def _sigma(array: NDArray[Any], height: Floats) -> Floats | None:
         return None
     sigma = array.astype(np.float64)
     if (sigma[np.isfinite(height)] < 0.0).any():
-        raise DecoderError(
+        raise OutsideDecoderError(
             "the decoder's sigma is negative in places: give standard deviations in mm, NaN where they are not known"
         )
     return sigma
 
 
 def read_output(folder: Path, stem: str, shape: Shape, program: str) -> Answer:
-    """The answer in the one file that a program wrote, ``<stem>`` with or without a suffix; `DecoderError` if there is
+    """The answer in the one file that a program wrote, ``<stem>`` with or without a suffix; `OutsideDecoderError` if there is
     no such one.
     """
     bare = folder / stem
@@ -102,7 +102,7 @@ def read_output(folder: Path, stem: str, shape: Shape, program: str) -> Answer:
         bare.rename(bare.with_suffix(_suffix(bare)))
     written = [path for path in sorted(folder.glob(f"{stem}*")) if path.suffix in SUFFIXES]
     if len(written) != 1:
-        raise DecoderError(
+        raise OutsideDecoderError(
             f"'{program}' wrote {len(written)} of {{output}}{', {output}'.join(SUFFIXES)}: it must write one"
         )
     return checked(read_heights(written[0], shape), shape)
@@ -112,11 +112,11 @@ def read_heights(path: Path, shape: Shape) -> Any:
     """Heights, and mask and sigma where the file has them, from EXR, TIFF or NPY, not yet checked."""
     limit = _limit_bytes(shape)
     if not _is_plain(path):
-        raise DecoderError(
+        raise OutsideDecoderError(
             f"the decoder's '{path.name}' is a link, a pipe, a device or a folder: write a plain file"
         )
     if path.stat().st_size > limit:
-        raise DecoderError(
+        raise OutsideDecoderError(
             f"the decoder's file '{path.name}' has {path.stat().st_size} bytes: {limit} are allowed for {shape} (row, col)"
         )
     try:
@@ -126,40 +126,42 @@ def read_heights(path: Path, shape: Shape) -> Any:
         if path.suffix == ".exr":
             return _from_exr(path)
         image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
-    except DecoderError:
+    except OutsideDecoderError:
         raise
     except Exception as error:  # A damaged file may raise anything.
-        raise DecoderError(f"the decoder's file '{path.name}' cannot be read: {error}") from error
+        raise OutsideDecoderError(
+            f"the decoder's file '{path.name}' cannot be read: {error}"
+        ) from error
     if image is None:
-        raise DecoderError(f"the decoder's file '{path.name}' is no readable TIFF")
+        raise OutsideDecoderError(f"the decoder's file '{path.name}' is no readable TIFF")
     return image
 
 
 def read_npy(path: Path, frame: Shape) -> NDArray[Any]:
-    """A plain array from a file whose header and size agree and suit frames of that shape; `DecoderError` for any other."""
+    """A plain array from a file whose header and size agree and suit frames of that shape; `OutsideDecoderError` for any other."""
     # What a running decoder may exchange meanwhile: neither a link is followed, nor a pipe waited for.
     descriptor = os.open(
         path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     )
     with os.fdopen(descriptor, "rb") as file:
         if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-            raise DecoderError(f"the decoder's '{path.name}' is not a plain file")
+            raise OutsideDecoderError(f"the decoder's '{path.name}' is not a plain file")
         try:
             version = npy.read_magic(file)
             read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
             shape, fortran, dtype = read(file)
         except (ValueError, EOFError) as error:
-            raise DecoderError(
+            raise OutsideDecoderError(
                 f"the decoder's file '{path.name}' is empty, damaged or no NPY file: {error}"
             ) from error
         data = file.read(_limit_bytes(frame))
     if dtype.hasobject or dtype.kind not in "fbiu":
-        raise DecoderError(
+        raise OutsideDecoderError(
             f"the decoder's file '{path.name}' holds {dtype}: save numbers, not a pickle"
         )
     count = int(np.prod(shape, dtype=object))
     if len(data) != count * dtype.itemsize:
-        raise DecoderError(
+        raise OutsideDecoderError(
             f"the decoder's file '{path.name}' claims shape {shape} of {dtype}, which is {count * dtype.itemsize} bytes, and "
             f"holds {len(data)}"
         )
@@ -181,7 +183,7 @@ def _from_exr(path: Path) -> Any:
     if name is None and len(channels) == 1:
         name = next(iter(channels))
     if name is None:
-        raise DecoderError(
+        raise OutsideDecoderError(
             f"the decoder's EXR has channels {sorted(channels)}: name the heights 'height_mm' (and 'valid', 'sigma_mm')"
         )
     height = channels[name]

@@ -21,7 +21,7 @@ from fringebench.gate.answers import Answer, checked, nothing, read_npy, read_ou
 from fringebench.gate.supervised import Supervised
 from fringebench.gate.worker import PARTS, error_in_words, parts_of
 from scenes import Stack
-from scenes.support.errors import DecodeError, DecoderError
+from scenes.support.errors import DecodeError, OutsideDecoderError
 
 CALLABLE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 TIMEOUT_S = 600.0
@@ -36,7 +36,7 @@ class Decoder:
     """A decoder to be called with stacks; close it, or use it as a context manager."""
 
     def __call__(self, stack: Stack) -> Answer:
-        """The decoder's answer; raises `DecoderError` where it gives none."""
+        """The decoder's answer; raises `OutsideDecoderError` where it gives none."""
         raise NotImplementedError
 
     def close(self) -> None:
@@ -66,7 +66,7 @@ def resolve(spec: str | Callable[[Stack], Any], timeout_s: float = TIMEOUT_S) ->
         return _InWorker(spec, timeout_s)
     if "{output}" in spec and ("{stack}" in spec or "{manifest}" in spec):
         return _Command(spec, timeout_s)
-    raise DecoderError(
+    raise OutsideDecoderError(
         f"decoder '{spec}' is neither package.module:callable nor a command with {{stack}} (or {{manifest}}) and "
         "{output}, such as 'my-decoder {manifest} --out {output}.npy'"
     )
@@ -84,10 +84,10 @@ class _InThisProcess(Decoder):
             return checked(parts_of(self._function(stack)), shape)
         except DecodeError:
             return nothing(shape)
-        except (DecoderError, KeyboardInterrupt):
+        except (OutsideDecoderError, KeyboardInterrupt):
             raise
         except BaseException as error:  # A decoder under test may raise anything.
-            raise DecoderError(f"the decoder {error_in_words(error)}") from error
+            raise OutsideDecoderError(f"the decoder {error_in_words(error)}") from error
 
 
 class _InWorker(Decoder):
@@ -125,7 +125,7 @@ class _InWorker(Decoder):
             with (place / "stack").open("xb") as file:
                 pickle.dump(stack, file, pickle.HIGHEST_PROTOCOL)
         except OSError as error:
-            raise DecoderError(
+            raise OutsideDecoderError(
                 f"the decoder '{self._spec}' damaged the folder it works in: {error}"
             ) from error
         self._program.new_turn()
@@ -141,17 +141,17 @@ class _InWorker(Decoder):
                 [read_npy(place / f"{name}.npy", shape) for name in PARTS[:count]], shape
             )
         except (KeyError, TypeError, ValueError, OverflowError, OSError) as error:
-            raise DecoderError(
+            raise OutsideDecoderError(
                 f"the decoder '{self._spec}' damaged its own answer: {error}"
             ) from error
 
     def _reply(self, what: str) -> dict[str, Any]:
-        """What the worker says; raises `DecoderError` for an error, and where it ended without a word."""
+        """What the worker says; raises `OutsideDecoderError` for an error, and where it ended without a word."""
         line = self._program.read_line(self._answers, self._timeout_s)
         if line is None:
             status = self._program.exit_status()
             how = f"was killed by signal {-status}" if status < 0 else f"ended with status {status}"
-            raise DecoderError(
+            raise OutsideDecoderError(
                 f"decoder '{self._spec}': its process {how} during {what}, without an answer; "
                 f"its last words: {self._program.last_line}"
             )
@@ -160,9 +160,9 @@ class _InWorker(Decoder):
         except (ValueError, RecursionError):
             said = None
         if not isinstance(said, dict):
-            raise DecoderError(f"decoder '{self._spec}' wrote into the gate's own pipe")
+            raise OutsideDecoderError(f"decoder '{self._spec}' wrote into the gate's own pipe")
         if "error" in said and not said.get("empty"):
-            raise DecoderError(str(said["error"]))
+            raise OutsideDecoderError(str(said["error"]))
         return said
 
     def close(self) -> None:
@@ -200,5 +200,5 @@ class _Command(Decoder):
                     if status < 0
                     else f"ended with status {status}"
                 )
-                raise DecoderError(f"'{words[0]}' {how}: {last_line}")
+                raise OutsideDecoderError(f"'{words[0]}' {how}: {last_line}")
             return read_output(folder, "heights", stack.frames.shape[2:], words[0])

@@ -17,7 +17,7 @@ from fringebench.gate.error_maps import ErrorMaps, place, worst_pixels
 from fringebench.gate.regression_result import Regression
 from fringebench.progress import StepProgress, Steps
 from scenes import Scene, Stack, load
-from scenes.support.errors import DecoderError, FileError, FringebenchError
+from scenes.support.errors import FileError, FringebenchError, OutsideDecoderError
 
 SEEDS = tuple(range(16))
 CONFIDENCE = 0.95
@@ -77,7 +77,7 @@ def regress(
 
     Raises
     ------
-    DecoderError
+    OutsideDecoderError
         When the decoder cannot be run or gives no heights, by its first stack, before any scene is rendered.
     FileError
         For a baseline that cannot be used.
@@ -172,7 +172,7 @@ def _try(run: Decoder, stacks: Sequence[Stack]) -> None:
         try:
             run(replace(stack, seed=None))
         except FringebenchError as error:
-            raise DecoderError(f"first try: {error}") from error
+            raise OutsideDecoderError(f"first try: {error}") from error
 
 
 def _same_cases(old: Baseline, cases: Sequence[Case]) -> None:
@@ -239,7 +239,7 @@ def _decoded(
             # The seed is kept back: with it the noise can be made again, and subtracted.
             answer = run(replace(case.stack(seed), seed=None))
         except FringebenchError as error:
-            raise DecoderError(f"case '{case.name}', seed {seed}: {error}") from error
+            raise OutsideDecoderError(f"case '{case.name}', seed {seed}: {error}") from error
         heights.append(answer.height_mm)
         sigmas.append(case.sigma_mm if answer.sigma_mm is None else answer.sigma_mm)
     height, sigma = np.stack(heights), np.stack(sigmas)

@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import IO, Self
 
 from scenes.support import memory
-from scenes.support.errors import DecoderError
+from scenes.support.errors import OutsideDecoderError
 
 WARDEN = Path(__file__).with_name("warden.py")
 # More output than this for one stack is an error of the program; its last bytes are kept for messages.
@@ -76,13 +76,13 @@ class Supervised:
         self._bytes = 0
 
     def check(self, deadline: float, limit_s: float) -> None:
-        """Raise `DecoderError` when the program has taken too long (monotonic seconds) or printed too much."""
+        """Raise `OutsideDecoderError` when the program has taken too long (monotonic seconds) or printed too much."""
         if self._bytes > OUTPUT_LIMIT_BYTES:
-            raise DecoderError(
+            raise OutsideDecoderError(
                 f"'{self.name}' printed more than {OUTPUT_LIMIT_BYTES >> 20} MB: print less, or nothing"
             )
         if time.monotonic() > deadline:
-            raise DecoderError(
+            raise OutsideDecoderError(
                 f"'{self.name}' took longer than {limit_s:g} s: allow more with --timeout"
             )
 
@@ -101,13 +101,13 @@ class Supervised:
                         return None
                     line += read
                     if len(line) > 4 * TAIL_BYTES:
-                        raise DecoderError(f"'{self.name}' wrote into the gate's own pipe")
+                        raise OutsideDecoderError(f"'{self.name}' wrote into the gate's own pipe")
                 elif ended:
                     return None
         return bytes(line)
 
     def wait(self, limit_s: float) -> int:
-        """Wait for the end; returns the exit status (negative: a signal). `DecoderError` if it cannot start, takes too
+        """Wait for the end; returns the exit status (negative: a signal). `OutsideDecoderError` if it cannot start, takes too
         long or prints too much.
         """
         deadline = time.monotonic() + limit_s
@@ -125,11 +125,13 @@ class Supervised:
             self._warden.wait(WARDEN_S)
         said = self._said()
         if "failed" in said:
-            raise DecoderError(
+            raise OutsideDecoderError(
                 f"'{self.name}' cannot be run: {said['failed']}; check the path of the command"
             )
         if "ended" not in said:
-            raise DecoderError(f"'{self.name}' killed or stopped the process that supervises it")
+            raise OutsideDecoderError(
+                f"'{self.name}' killed or stopped the process that supervises it"
+            )
         return int(said["ended"])
 
     def stop(self) -> None:

@@ -49,7 +49,7 @@ class DecodeError(FringebenchError):
     """A stack that cannot be decoded, or whose reconstruction would be empty."""
 
 
-class DecoderError(FringebenchError):
+class OutsideDecoderError(FringebenchError):
     """An external decoder that cannot be found or run, or whose output is no height map."""
 
 

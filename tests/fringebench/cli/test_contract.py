@@ -15,7 +15,7 @@ import render
 import scenes
 from fringebench.gate.decoders import resolve
 from scenes import PhaseShift, Stack
-from scenes.support.errors import DecoderError, FileError
+from scenes.support.errors import FileError, OutsideDecoderError
 from tests.decode.synthetic import calibrated_stack, hills, rig
 
 SMALL = ("--set", "camera.resolution=[64,48]", "--set", "sampling.samples=2")
@@ -232,5 +232,5 @@ def test_program_may_write_heights_to_the_given_path(kind: str, tmp_path: Path) 
     answer = resolve(f"{sys.executable} {program} {{stack}} {{output}}")(stack)
     assert (answer.height_mm == np.arange(12).reshape(3, 4)).all()
     program.write_text("import sys; open(sys.argv[2], 'w').write('heights')")
-    with pytest.raises(DecoderError, match="wrote 0"):
+    with pytest.raises(OutsideDecoderError, match="wrote 0"):
         resolve(f"{sys.executable} {program} {{stack}} {{output}}")(stack)

@@ -14,7 +14,7 @@ import pytest
 from fringebench.gate.cases import Case, suite
 from fringebench.gate.regression_gate import regress
 from scenes.files.stack import Stack
-from scenes.support.errors import DecoderError
+from scenes.support.errors import OutsideDecoderError
 from tests.fringebench.gate import cheating_decoders
 
 HERE = "tests.fringebench.gate.cheating_decoders"
@@ -83,7 +83,7 @@ def test_decoder_that_gives_no_answer_is_named_as_the_fault(
     # Stopping the supervisor is noticed at the end of the time; the others end sooner, also on a loaded machine.
     timeout_s = 20.0 if decoder == "stops_its_supervisor" else 100.0
     started = time.monotonic()
-    with pytest.raises(DecoderError, match=named):
+    with pytest.raises(OutsideDecoderError, match=named):
         regress(f"{HERE}:{decoder}", baseline, cases=sweep, seeds=range(4), timeout_s=timeout_s)
     assert time.monotonic() - started < LIMIT_S
 
@@ -100,7 +100,7 @@ def test_decoder_that_gives_no_answer_is_named_as_the_fault(
 def test_answer_of_another_kind_is_refused(
     sweep: tuple[Case, ...], decoder: Callable[[Stack], Any], named: str
 ) -> None:
-    with pytest.raises(DecoderError, match=named):
+    with pytest.raises(OutsideDecoderError, match=named):
         regress(decoder, cases=sweep, seeds=range(3))
 
 
@@ -110,7 +110,7 @@ def test_answer_of_another_kind_is_refused(
 def test_decoder_that_hangs_is_ended_with_all_it_started(
     sweep: tuple[Case, ...], baseline: Path, decoder: str
 ) -> None:
-    with pytest.raises(DecoderError, match="took longer than 8 s"):
+    with pytest.raises(OutsideDecoderError, match="took longer than 8 s"):
         regress(f"{HERE}:{decoder}", baseline, cases=sweep, seeds=range(4), timeout_s=8.0)
     assert not processes_with("fringebench-red-team")
 
@@ -213,7 +213,7 @@ def test_program_that_misbehaves_is_named_as_the_fault(
     program = tmp_path / "program.py"
     program.write_text(f"import sys\nout = sys.argv[2]\n{body}\n")
     command = f"{sys.executable} {program} {{manifest}} {{output}}"
-    with pytest.raises(DecoderError, match=named):
+    with pytest.raises(OutsideDecoderError, match=named):
         # Only one of them uses up its time: the others have enough on a loaded machine.
         timeout_s = 4.0 if "longer" in named else 100.0
         regress(command, baseline, cases=sweep, seeds=range(3), timeout_s=timeout_s)

@@ -17,7 +17,7 @@ from fringebench.gate.decoders import resolve
 from fringebench.gate.regression_gate import SEEDS, regress
 from fringebench.pages.regress_page import regress_report
 from scenes import Stack
-from scenes.support.errors import DecoderError, FileError
+from scenes.support.errors import FileError, OutsideDecoderError
 from tests.fringebench import faulty_decoders
 
 FAULTY = "tests.fringebench.faulty_decoders"
@@ -145,7 +145,7 @@ def test_unchanged_decoder_differs_by_nothing_from_a_baseline_of_its_own_seeds(
 def test_decoder_that_cannot_be_run_is_named(
     sweep: tuple[Case, ...], spec: str, named: str
 ) -> None:
-    with pytest.raises(DecoderError, match=named):
+    with pytest.raises(OutsideDecoderError, match=named):
         regress(spec, cases=sweep, seeds=range(3))
 
 

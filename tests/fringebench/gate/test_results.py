@@ -29,7 +29,7 @@ from fringebench.gate.error_maps import ErrorMaps
 from fringebench.gate.regression_gate import regress
 from fringebench.gate.regression_result import Regression
 from fringebench.pages.regress_page import regress_report
-from scenes.support.errors import DecoderError, FileError, SceneError
+from scenes.support.errors import FileError, OutsideDecoderError, SceneError
 from tests.fringebench import faulty_decoders
 
 ROOT = Path(__file__).parents[3]
@@ -277,7 +277,7 @@ def test_decoder_that_cannot_work_fails_before_anything_is_rendered(
     fault: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("render.trace", lambda *_, **__: pytest.fail("a scene was rendered"))
-    with pytest.raises(DecoderError, match="first try"):
+    with pytest.raises(OutsideDecoderError, match="first try"):
         regress(getattr(faulty_decoders, fault))
 
 
