@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -30,11 +30,6 @@ def fusion_rules(incomplete: str) -> list[str]:
     return [name for name in decode.rules() if name.startswith(incomplete)]
 
 
-def destination(help_: str) -> Any:
-    """The option that says where to write, with what is written."""
-    return typer.Option("-o", "--output", help=help_)
-
-
 SceneName = Annotated[
     str, typer.Argument(help="A shipped scene's name, or a TOML file.", autocompletion=scene_names)
 ]
@@ -44,7 +39,7 @@ Settings = Annotated[
         "--set", metavar="KEY=VALUE", help="Override a key of the scene; may be repeated."
     ),
 ]
-Folder = Annotated[Path | None, destination("Folder to write.")]
+Folder = Annotated[Path | None, typer.Option("-o", "--output", help="Folder to write.")]
 PhaseError = Annotated[
     float | None,
     typer.Option(
@@ -61,6 +56,12 @@ RenderNoise = Annotated[
         help="Trace until render noise is below this share of the sensor's noise in each label (render_noise in [sampling]).",
     ),
 ]
+Count = Annotated[int, typer.Option(min=1)]
+CountOrNone = Annotated[int | None, typer.Option(min=1)]
+Listed = Annotated[
+    str | None, typer.Option(metavar="LIST", help="Names separated by commas; all by default.")
+]
+Region = Annotated[tuple[int, int, int, int] | None, typer.Option(metavar="ROW0 ROW1 COL0 COL1")]
 Seed = Annotated[int, typer.Option(help="Seed of light paths and sensor noise.", min=0)]
 Fusion = Annotated[str, typer.Option(help="Exposure fusion rule.", autocompletion=fusion_rules)]
 PartNames = Annotated[
@@ -74,7 +75,7 @@ PartNames = Annotated[
 MmPerUnit = Annotated[
     float | None, typer.Option(help="Millimetres per unit of the calibration: 1000 for metres.")
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 ShowProgress = Annotated[
     Mode,
     typer.Option(

@@ -11,6 +11,7 @@ from rich.table import Table
 from fringebench.cli import shared_options as opt
 from fringebench.cli.outputs import check_outputs
 from fringebench.cli.overrides import part_names
+from fringebench.cli.registration import command
 from fringebench.cli.terminal import answer, print_figures, print_json, progress_steps, say
 from fringebench.progress import Mode
 
@@ -22,34 +23,27 @@ app = typer.Typer()
 STYLES = {"ok": "green", "warning": "yellow", "wrong": "bold red", "unknown": "dim"}
 
 
-@app.command("import", epilog="Example: fringebench import capture.toml -o stack.exr")
+@command(app, "fringebench import capture.toml -o stack.exr")
 def import_capture(
-    manifest: Annotated[
-        Path, typer.Argument(help="A manifest TOML: which image shows what (see docs/import.md).")
-    ],
-    output: Annotated[Path, opt.destination("Stack file.")] = Path("stack.exr"),
-    check: Annotated[
-        bool,
-        typer.Option("--check", help="Only check linearity, order and periods; write nothing."),
-    ] = False,
-    force: Annotated[
-        bool, typer.Option("--force", help="Write the stack although checks say it is wrong.")
-    ] = False,
-    equalise: Annotated[
-        bool,
-        typer.Option(
-            "--equalise", help="Divide out a source that flickers or drifts between frames."
-        ),
-    ] = False,
+    manifest: Path,
+    output: Path = Path("stack.exr"),
+    check: bool = False,
+    force: bool = False,
+    equalise: bool = False,
     progress: opt.ShowProgress = Mode.AUTO,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the checks and the stack's data as JSON.")
-    ] = False,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Turn image files and a calibration into a stack, after checking that they are what the manifest says.
 
     What the images contradict (frames exchanged, a wrong period, another camera's calibration) is refused with the reason.
     With --check the exit status is 1 if a check says wrong.
+
+    manifest: A manifest TOML: which image shows what (see docs/import.md).
+    output: Stack file.
+    check: Only check linearity, order and periods; write nothing.
+    force: Write the stack although checks say it is wrong.
+    equalise: Divide out a source that flickers or drifts between frames.
+    as_json: Print the checks and the stack's data as JSON.
     """
     import numpy as np
 
@@ -124,29 +118,29 @@ def _described(stack: "Stack") -> dict[str, Any]:
     }
 
 
-@app.command(epilog="Example: fringebench stereo left.exr right.exr stereo.yml --depth-mm 400 900")
+@command(app, "fringebench stereo left.exr right.exr stereo.yml --depth-mm 400 900")
 def stereo(
-    left: Annotated[Path, typer.Argument(help="Stack EXR of the first camera.")],
-    right: Annotated[Path, typer.Argument(help="Stack EXR of the second camera.")],
-    calibration: Annotated[
-        list[Path], typer.Argument(help="OpenCV calibration of the pair: one file or several.")
-    ],
-    depth_mm: Annotated[
-        tuple[float, float],
-        typer.Option(metavar="NEAR FAR", help="Depths to search in front of the first camera."),
-    ],
-    output: Annotated[Path, opt.destination("Reconstruction file.")] = Path("reconstruction.exr"),
+    left: Path,
+    right: Path,
+    calibration: list[Path],
+    depth_mm: Annotated[tuple[float, float], typer.Option(metavar="NEAR FAR")],
+    output: Path = Path("reconstruction.exr"),
     mm_per_unit: opt.MmPerUnit = None,
     fusion: opt.Fusion = "max-modulation",
     name: opt.PartNames = [],  # noqa: B006
-    roi: Annotated[
-        tuple[int, int, int, int] | None,
-        typer.Option(metavar="ROW0 ROW1 COL0 COL1", help="Only this region of the first camera."),
-    ] = None,
+    roi: opt.Region = None,
     progress: opt.ShowProgress = Mode.AUTO,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Heights from two cameras that saw the same patterns; the projector needs no calibration."""
+    """Heights from two cameras that saw the same patterns; the projector needs no calibration.
+
+    left: Stack EXR of the first camera.
+    right: Stack EXR of the second camera.
+    calibration: OpenCV calibration of the pair: one file or several.
+    depth_mm: Depths to search in front of the first camera.
+    output: Reconstruction file.
+    roi: Only this region of the first camera.
+    """
     check_outputs({"-o": output}, [left, right, *calibration])
     import scenes
     from decode.stereo_phase import stereo as match

@@ -11,6 +11,7 @@ import typer
 
 from fringebench.cli import shared_options as opt
 from fringebench.cli.overrides import parse_overrides
+from fringebench.cli.registration import command
 from fringebench.cli.terminal import print_json, progress_steps, say
 from fringebench.progress import Mode
 
@@ -24,84 +25,51 @@ GATE_FAILED = 1
 INTERRUPTED = 130
 
 
-@app.command("dataset", epilog="Example: fringebench dataset spi --count 1000 -o boards")
+@command(app, "fringebench dataset spi --count 1000 -o boards")
 def dataset(
-    scene: Annotated[
-        str | None,
-        typer.Argument(
-            help="A shipped scene's name, or a TOML file.", autocompletion=opt.scene_names
-        ),
-    ] = None,
-    count: Annotated[int | None, typer.Option(help="How many samples.", min=1)] = None,
-    output: Annotated[
-        str | None, opt.destination("A folder, or any URL that fsspec opens.")
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Sample i depends on this and on i alone.", min=0)] = 0,
-    workers: Annotated[
-        int | None, typer.Option(help="Processes of one core each. Default: all cores.", min=1)
-    ] = None,
-    scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="A Dask cluster, tcp://host:8786.")
-    ] = None,
-    split: Annotated[
-        list[str],
-        typer.Option(
-            metavar="NAME=SHARE",
-            help="A split's share; may be repeated. Default: train=0.8 val=0.1 test=0.1.",
-        ),
-    ] = [],  # noqa: B006
-    picture: Annotated[
-        bool,
-        typer.Option(help="picture.png in each sample: 8 bits, what a 2-D camera sees; for COCO."),
-    ] = True,
-    ring_light: Annotated[
-        bool,
-        typer.Option(
-            "--ring-light",
-            help="colour.png in each sample: a 2-D camera's colour picture under red, green and blue ring lights.",
-        ),
-    ] = False,
-    heights: Annotated[
-        bool,
-        typer.Option(
-            "--heights", help="Measured heights in each sample: height.png, reconstruction.exr."
-        ),
-    ] = False,
-    variants: Annotated[
-        int,
-        typer.Option(
-            help="Samples that share one light: only noise, and what is drawn for sensor and exposures, differ.",
-            min=1,
-        ),
-    ] = 1,
-    format_: Annotated[
-        str,
-        typer.Option(
-            "--format", metavar="folder|webdataset", help="webdataset: tar shards as well."
-        ),
-    ] = "folder",
-    card: Annotated[
-        bool, typer.Option("--card", help="Data card: README.md, and its tables in report.html.")
-    ] = False,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Stop at the first sample that cannot be made.")
-    ] = False,
-    verify: Annotated[
-        bool, typer.Option("--verify", help="Compare every file with its checksum; make nothing.")
-    ] = False,
-    repair: Annotated[
-        bool, typer.Option("--repair", help="Make missing, altered and failed samples again.")
-    ] = False,
+    scene: Annotated[str | None, typer.Argument(autocompletion=opt.scene_names)] = None,
+    count: opt.CountOrNone = None,
+    output: str | None = None,
+    seed: opt.Seed = 0,
+    workers: opt.CountOrNone = None,
+    scheduler: Annotated[str | None, typer.Option(metavar="ADDRESS")] = None,
+    split: Annotated[list[str], typer.Option(metavar="NAME=SHARE")] = [],  # noqa: B006
+    picture: Annotated[bool, typer.Option("--picture/--no-picture")] = True,
+    ring_light: bool = False,
+    heights: bool = False,
+    variants: opt.Count = 1,
+    format_: Annotated[str, typer.Option("--format", metavar="folder|webdataset")] = "folder",
+    card: bool = False,
+    strict: bool = False,
+    verify: bool = False,
+    repair: bool = False,
     settings: opt.Settings = [],  # noqa: B006
     phase_error: opt.PhaseError = None,
     render_noise: opt.RenderNoise = None,
     progress: opt.ShowProgress = Mode.AUTO,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")] = False,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Make a data set of random samples of a scene, or continue one that was interrupted.
 
     Each sample is a folder with frames, truth, scene, labels and a picture; the same seed gives the same bytes on any number of
     workers. With --verify or --repair only -o is needed.
+
+    scene: A shipped scene's name, or a TOML file.
+    count: How many samples.
+    output: A folder, or any URL that fsspec opens.
+    seed: Sample i depends on this and on i alone.
+    workers: Processes of one core each. Default: all cores.
+    scheduler: A Dask cluster, tcp://host:8786.
+    split: A split's share; may be repeated. Default: train=0.8 val=0.1 test=0.1.
+    picture: picture.png in each sample: 8 bits, what a 2-D camera sees; for COCO.
+    ring_light: colour.png in each sample: a 2-D camera's colour picture under red, green and blue ring lights.
+    heights: Measured heights in each sample: height.png, reconstruction.exr.
+    variants: Samples that share one light: only noise, and what is drawn for sensor and exposures, differ.
+    format_: webdataset: tar shards as well.
+    card: Data card: README.md, and its tables in report.html.
+    strict: Stop at the first sample that cannot be made.
+    verify: Compare every file with its checksum; make nothing.
+    repair: Make missing, altered and failed samples again.
     """
     from scenes.support.errors import DatasetError
     from scenes.support.memory import cores

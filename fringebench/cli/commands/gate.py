@@ -11,6 +11,7 @@ from rich.markup import escape
 from fringebench.cli import shared_options as opt
 from fringebench.cli.outputs import check_outputs
 from fringebench.cli.overrides import parse_overrides
+from fringebench.cli.registration import command
 from fringebench.cli.terminal import (
     answer,
     answer_console,
@@ -26,66 +27,41 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 
-Folder = Annotated[Path | None, opt.destination("Also write JSON and report.html here.")]
 
-
-@app.command(epilog="Example: fringebench regress my_package.decoder:decode --baseline mine.json")
+@command(app, "fringebench regress my_package.decoder:decode --baseline mine.json")
 def regress(
-    decoder: Annotated[
-        str,
-        typer.Argument(
-            help="package.module:callable taking a Stack, or a command with {stack} or {manifest}, and {output}."
-        ),
-    ],
-    baseline: Annotated[
-        Path | None,
-        typer.Option(help="Baseline JSON; default: the one shipped, of decode:reconstruct."),
-    ] = None,
-    scene: Annotated[
-        list[str],
-        typer.Option(
-            "--scene",
-            metavar="FILE",
-            autocompletion=opt.scene_names,
-            help="Judge on this scene instead of the shipped cases; may be repeated.",
-        ),
-    ] = [],  # noqa: B006
-    update: Annotated[
-        bool,
-        typer.Option("--update", help="Store the figures in --baseline, unless they got worse."),
-    ] = False,
-    force: Annotated[
-        bool, typer.Option("--force", help="Store a baseline even if most regions are missing.")
-    ] = False,
-    seed: Annotated[int, typer.Option(help="First of 16 noise seeds in a row.", min=0)] = 0,
-    seeds: Annotated[
-        str | None,
-        typer.Option(metavar="LIST", help="Noise seeds, one decode each, instead: 0-31 or 3,7,11."),
-    ] = None,
-    timeout: Annotated[
-        float, typer.Option(help="Seconds the decoder may take for one stack.", min=0.1)
-    ] = 600.0,
-    cache: Annotated[
-        Path | None,
-        typer.Option(
-            help="Keep the cases' light in this folder between runs.", envvar="FRINGEBENCH_CACHE"
-        ),
-    ] = None,
-    output: Folder = None,
-    junit: Annotated[Path | None, typer.Option(help="Also write JUnit XML here.")] = None,
-    history: Annotated[
-        Path | None,
-        typer.Option(
-            help="Append this run to a history (one line of JSON a run); the page plots it."
-        ),
-    ] = None,
-    github: Annotated[
-        bool, typer.Option("--github", help="Also print annotations for GitHub Actions.")
-    ] = False,
+    decoder: str,
+    baseline: Path | None = None,
+    scene: Annotated[list[str], typer.Option(metavar="FILE", autocompletion=opt.scene_names)] = [],  # noqa: B006
+    update: bool = False,
+    force: bool = False,
+    seed: opt.Seed = 0,
+    seeds: opt.Listed = None,
+    timeout: Annotated[float, typer.Option(min=0.1)] = 600.0,
+    cache: Annotated[Path | None, typer.Option(envvar="FRINGEBENCH_CACHE")] = None,
+    output: Path | None = None,
+    junit: Path | None = None,
+    history: Path | None = None,
+    github: bool = False,
     progress: opt.ShowProgress = Mode.AUTO,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Compare a decoder with a baseline: exit status 1 if errors, wrong orders, sigma or coverage got worse."""
+    """Compare a decoder with a baseline: exit status 1 if errors, wrong orders, sigma or coverage got worse.
+
+    decoder: package.module:callable taking a Stack, or a command with {stack} or {manifest}, and {output}.
+    baseline: Baseline JSON; default: the one shipped, of decode:reconstruct.
+    scene: Judge on this scene instead of the shipped cases; may be repeated.
+    update: Store the figures in --baseline, unless they got worse.
+    force: Store a baseline even if most regions are missing.
+    seed: First of 16 noise seeds in a row.
+    seeds: Noise seeds, one decode each, instead: 0-31 or 3,7,11.
+    timeout: Seconds the decoder may take for one stack.
+    cache: Keep the cases' light in this folder between runs.
+    output: Also write JSON and report.html here.
+    junit: Also write JUnit XML here.
+    history: Append this run to a history (one line of JSON a run); the page plots it.
+    github: Also print annotations for GitHub Actions.
+    """
     from fringebench.gate.ci_formats import (
         append_history,
         github_annotations,
@@ -161,16 +137,16 @@ def _print_regression(result: "Regression", baseline: Path | None) -> None:
         say(f"{result.decoder} compared with {result.baseline}: {verdict}")
 
 
-@app.command(epilog="Example: fringebench export stack.exr -o frames")
+@command(app, "fringebench export stack.exr -o frames")
 def export(
-    stack: Annotated[Path, typer.Argument(help="A stack EXR.")],
-    output: Annotated[Path, opt.destination("Folder to write.")],
-    projector: Annotated[
-        int | None, typer.Option(help="Whose frames, where there are several projectors.")
-    ] = None,
-    as_json: opt.AsJson = False,
+    stack: Path, output: Path, projector: int | None = None, as_json: opt.AsJson = False
 ) -> None:
-    """Write a stack as numbered PNGs and a manifest, for programs that read images."""
+    """Write a stack as numbered PNGs and a manifest, for programs that read images.
+
+    stack: A stack EXR.
+    output: Folder to write.
+    projector: Whose frames, where there are several projectors.
+    """
     import scenes
     from fringebench.exchange.capture_export import export as run
 
@@ -178,23 +154,26 @@ def export(
     answer(as_json, {"manifest": manifest}, manifest)
 
 
-@app.command(epilog="Example: fringebench budget bench --set camera.resolution=[320,240]")
+@command(app, "fringebench budget bench --set camera.resolution=[320,240]")
 def budget(
     scene: opt.SceneName,
     settings: opt.Settings = [],  # noqa: B006
     phase_error: opt.PhaseError = None,
     render_noise: opt.RenderNoise = None,
     seed: opt.Seed = 0,
-    repeats: Annotated[int, typer.Option(help="Decodes of each noisy variant.", min=1)] = 4,
+    repeats: opt.Count = 4,
     fusion: opt.Fusion = "max-modulation",
-    saturation: Annotated[
-        str, typer.Option(help="reject, or ignore: what a decoder without a saturation mask does.")
-    ] = "reject",
-    output: Folder = None,
+    saturation: str = "reject",
+    output: Path | None = None,
     progress: opt.ShowProgress = Mode.AUTO,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Find which cause makes which part of the error: causes switched off, and on, one at a time."""
+    """Find which cause makes which part of the error: causes switched off, and on, one at a time.
+
+    repeats: Decodes of each noisy variant.
+    output: Also write JSON and report.html here.
+    saturation: reject, or ignore: what a decoder without a saturation mask does.
+    """
     import scenes
     from fringebench import verbs
     from fringebench.pages.score_tables import budget_table

@@ -8,45 +8,27 @@ from rich.markup import escape
 
 from fringebench.cli import shared_options as opt
 from fringebench.cli.overrides import parse_overrides
+from fringebench.cli.registration import command
 from fringebench.cli.terminal import answer_console, print_figures, print_json, progress_steps, say
 from fringebench.progress import Mode
 
 app = typer.Typer()
 
+SURFACES = ["bench", "ink-solder", "interreflection"]
 
-@app.command(
-    epilog="Example: fringebench compare bench --strategies max-modulation,censored-ml "
-    "--set camera.resolution=[320,240] -o comparison"
+
+@command(
+    app,
+    "fringebench compare bench --strategies max-modulation,censored-ml --set camera.resolution=[320,240] -o comparison",
 )
 def compare(
     scene: opt.SceneName = "bench",
-    strategies: Annotated[
-        str | None, typer.Option(metavar="LIST", help="Names separated by commas; all by default.")
-    ] = None,
-    repeats: Annotated[
-        int, typer.Option(help="Captures of each strategy; 2 or more give intervals.", min=1)
-    ] = 5,
-    output: Annotated[
-        Path | None, opt.destination("Also write compare.json, figures and report.html here.")
-    ] = None,
-    budget: Annotated[
-        str,
-        typer.Option(
-            metavar="LIST",
-            help="What is equal, separated by commas: equal-time, equal-frames, cycle-time.",
-        ),
-    ] = "equal-time,equal-frames",
-    pareto: Annotated[
-        bool,
-        typer.Option("--pareto", help="Also error by cycle time, from 1/4 to 4 times the scene's."),
-    ] = False,
-    decoder: Annotated[
-        list[str],
-        typer.Option(
-            help="A whole decoder to compare too, package.module:callable or a command with {stack} and {output}; "
-            "repeat for several."
-        ),
-    ] = [],  # noqa: B006
+    strategies: opt.Listed = None,
+    repeats: opt.Count = 5,
+    output: Path | None = None,
+    budget: Annotated[str, typer.Option(metavar="LIST")] = "equal-time,equal-frames",
+    pareto: bool = False,
+    decoder: list[str] = [],  # noqa: B006
     settings: opt.Settings = [],  # noqa: B006
     phase_error: opt.PhaseError = None,
     render_noise: opt.RenderNoise = None,
@@ -54,7 +36,14 @@ def compare(
     progress: opt.ShowProgress = Mode.AUTO,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Compare HDR strategies on one rendering, at equal exposure time, number of frames or cycle time."""
+    """Compare HDR strategies on one rendering, at equal exposure time, number of frames or cycle time.
+
+    repeats: Captures of each strategy; 2 or more give intervals.
+    output: Also write compare.json, figures and report.html here.
+    budget: What is equal, separated by commas: equal-time, equal-frames, cycle-time.
+    pareto: Also error by cycle time, from 1/4 to 4 times the scene's.
+    decoder: A whole decoder to compare too, package.module:callable or a command with {stack} and {output}; repeat for several.
+    """
     import scenes
     from evaluation.hdr.light_budget import known_budgets
     from fringebench import verbs
@@ -86,26 +75,12 @@ def compare(
         say(f"files in {output}")
 
 
-@app.command(
-    "strategies",
-    epilog="Example: fringebench strategies bench ink-solder --set camera.resolution=[160,120]",
-)
+@command(app, "fringebench strategies bench ink-solder --set camera.resolution=[160,120]")
 def strategies_by_surface(
-    scene: Annotated[
-        list[str],
-        typer.Argument(
-            help="Shipped scenes' names, or TOML files.", autocompletion=opt.scene_names
-        ),
-    ] = ["bench", "ink-solder", "interreflection"],  # noqa: B006
-    strategies: Annotated[
-        str | None, typer.Option(metavar="LIST", help="Names separated by commas; all by default.")
-    ] = None,
-    repeats: Annotated[
-        int, typer.Option(help="Captures of each strategy; 2 or more give intervals.", min=1)
-    ] = 3,
-    budget: Annotated[
-        str, typer.Option(help="What is equal: equal-time, equal-frames or cycle-time.")
-    ] = "cycle-time",
+    scene: Annotated[list[str], typer.Argument(autocompletion=opt.scene_names)] = SURFACES,
+    strategies: opt.Listed = None,
+    repeats: opt.Count = 3,
+    budget: str = "cycle-time",
     settings: opt.Settings = [],  # noqa: B006
     phase_error: opt.PhaseError = None,
     render_noise: opt.RenderNoise = None,
@@ -113,7 +88,12 @@ def strategies_by_surface(
     progress: opt.ShowProgress = Mode.AUTO,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Show which strategy errs least on which surface: the median height error of every strategy on every region."""
+    """Show which strategy errs least on which surface: the median height error of every strategy on every region.
+
+    scene: Shipped scenes' names, or TOML files.
+    repeats: Captures of each strategy; 2 or more give intervals.
+    budget: What is equal: equal-time, equal-frames or cycle-time.
+    """
     import scenes
     from evaluation.hdr.light_budget import known_budgets
     from fringebench import verbs

@@ -13,6 +13,7 @@ from rich.table import Table
 from fringebench.cli import shared_options as opt
 from fringebench.cli.outputs import check_outputs
 from fringebench.cli.overrides import parse_overrides
+from fringebench.cli.registration import command
 from fringebench.cli.terminal import print_figures, print_json, progress_steps, say
 from fringebench.pages.figure_tables import figure_table, number
 from fringebench.progress import Mode
@@ -24,42 +25,17 @@ if TYPE_CHECKING:
 app = typer.Typer()
 
 
-@app.command("pads", epilog="Example: fringebench pads spi --budget")
+@command(app, "fringebench pads spi --budget")
 def pads(
     source: Annotated[
-        str,
-        typer.Argument(
-            metavar="SCENE_OR_STACK",
-            help="A shipped scene's name, a TOML file, or frames (stack.exr).",
-            autocompletion=opt.scene_names,
-        ),
+        str, typer.Argument(metavar="SCENE_OR_STACK", autocompletion=opt.scene_names)
     ] = "spi",
-    output: Annotated[
-        Path | None, opt.destination("Measured pads as CSV, in the columns of SPI machines.")
-    ] = None,
-    truth: Annotated[
-        Path | None, typer.Option("--truth", help="True pads as CSV, in the same columns.")
-    ] = None,
-    board: Annotated[
-        str | None,
-        typer.Option(
-            "--board",
-            metavar="SCENE",
-            help="For frames of a real board: the scene whose board has its artwork.",
-        ),
-    ] = None,
-    threshold_um: Annotated[
-        float, typer.Option(help="Height above the pad from which paste counts, µm.", min=0.0)
-    ] = 40.0,
-    budget: Annotated[
-        bool,
-        typer.Option(
-            "--budget", help="Error budget: what metal, grains, noise and the threshold contribute."
-        ),
-    ] = False,
-    gauge: Annotated[
-        bool, typer.Option("--gauge", help="Gauge study: repeats, sensors and places.")
-    ] = False,
+    output: Path | None = None,
+    truth: Path | None = None,
+    board: Annotated[str | None, typer.Option(metavar="SCENE")] = None,
+    threshold_um: Annotated[float, typer.Option(min=0.0)] = 40.0,
+    budget: bool = False,
+    gauge: bool = False,
     settings: opt.Settings = [],  # noqa: B006
     phase_error: opt.PhaseError = None,
     render_noise: opt.RenderNoise = None,
@@ -70,6 +46,14 @@ def pads(
     """Measure a board's paste as an inspection machine does: volume, area, height, offset and defects against the truth.
 
     Of a scene, of frames made from one, or of real frames with --board.
+
+    source: A shipped scene's name, a TOML file, or frames (stack.exr).
+    output: Measured pads as CSV, in the columns of SPI machines.
+    truth: True pads as CSV, in the same columns.
+    board: For frames of a real board: the scene whose board has its artwork.
+    threshold_um: Height above the pad from which paste counts, µm.
+    budget: Error budget: what metal, grains, noise and the threshold contribute.
+    gauge: Gauge study: repeats, sensors and places.
     """
     import scenes
     from evaluation.inspection.spi_csv import write_spi_csv
@@ -223,19 +207,22 @@ class Action(StrEnum):
     CHECK = "check"
 
 
-@app.command("board", epilog="Example: fringebench board check gerbers -o board.png")
+@command(app, "fringebench board check gerbers -o board.png")
 def board_files(
-    action: Annotated[Action, typer.Argument(help="check: read the files twice.")],
-    folder: Annotated[Path, typer.Argument(help="Folder of the board's Gerber files.")],
-    output: Annotated[
-        Path | None, opt.destination("Picture (PNG) of paste over copper over outline.")
-    ] = None,
-    bottom: Annotated[bool, typer.Option("--bottom", help="The bottom side.")] = False,
+    action: Action,
+    folder: Path,
+    output: Path | None = None,
+    bottom: bool = False,
     as_json: opt.AsJson = False,
 ) -> None:
     """Read the layers of one side of a board with two independent readers, and list pads outside the outline.
 
     The second reader is gerbonara. Status 1: they differ by more than 0.2 % of a layer's area, or pads are outside.
+
+    action: check: read the files twice.
+    folder: Folder of the board's Gerber files.
+    output: Picture (PNG) of paste over copper over outline.
+    bottom: The bottom side.
     """
     from fringebench.experiments.board_check import check_board
     from scenes.support.atomic_file import replacing

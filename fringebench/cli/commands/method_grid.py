@@ -5,33 +5,20 @@ from typing import Annotated
 import typer
 
 from fringebench.cli import shared_options as opt
+from fringebench.cli.registration import command
 from fringebench.cli.terminal import print_figures, print_json, progress_steps, say
 from fringebench.progress import Mode
 
 app = typer.Typer()
 
 
-@app.command(
-    epilog="Example: fringebench methods --method active-stereo --surface matt --surface mirror -o out"
-)
+@command(app, "fringebench methods --method active-stereo --surface matt --surface mirror -o out")
 def methods(
-    method: Annotated[
-        list[str],
-        typer.Option(
-            help="fringe-projection, phase-stereo, active-stereo, passive-stereo or deflectometry; may be repeated. Default: all."
-        ),
-    ] = [],  # noqa: B006
-    surface: Annotated[
-        list[str],
-        typer.Option(
-            help="matt, glossy, black, translucent, solder, grains, mirror or step; may be repeated. Default: all."
-        ),
-    ] = [],  # noqa: B006
+    method: list[str] = [],  # noqa: B006
+    surface: list[str] = [],  # noqa: B006
     output: opt.Folder = None,
-    resolution: Annotated[
-        tuple[int, int], typer.Option(metavar="COLUMNS ROWS", help="Pixels of the cameras.")
-    ] = (200, 150),
-    samples: Annotated[int, typer.Option(help="As sampling.samples of a scene.", min=1)] = 32,
+    resolution: Annotated[tuple[int, int], typer.Option(metavar="COLUMNS ROWS")] = (200, 150),
+    samples: opt.Count = 32,
     seed: opt.Seed = 0,
     progress: opt.ShowProgress = Mode.AUTO,
     as_json: opt.AsJson = False,
@@ -39,6 +26,11 @@ def methods(
     """Measure every surface by every method: fringe projection, stereo by phase, dots or texture, deflectometry.
 
     With -o: methods.json, methods.png and report.html. All pairs take some minutes.
+
+    method: fringe-projection, phase-stereo, active-stereo, passive-stereo or deflectometry; may be repeated. Default: all.
+    surface: matt, glossy, black, translucent, solder, grains, mirror or step; may be repeated. Default: all.
+    resolution: Pixels of the cameras.
+    samples: As sampling.samples of a scene.
     """
     from fringebench import verbs
 

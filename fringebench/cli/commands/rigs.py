@@ -10,6 +10,7 @@ from rich.table import Table
 from fringebench.cli import shared_options as opt
 from fringebench.cli.outputs import check_outputs
 from fringebench.cli.overrides import parse_overrides, part_names
+from fringebench.cli.registration import command
 from fringebench.cli.terminal import (
     answer,
     answer_console,
@@ -23,38 +24,33 @@ from fringebench.progress import Mode
 app = typer.Typer()
 
 
-@app.command(epilog="Example: fringebench twin procam.yml -o mine.toml --distance-mm 600")
+@command(app, "fringebench twin procam.yml -o mine.toml --distance-mm 600")
 def twin(
-    output: Annotated[Path, opt.destination("Scene TOML to write.")],
-    distance_mm: Annotated[float, typer.Option(help="Working distance in front of the camera.")],
-    calibration: Annotated[
-        list[Path], typer.Argument(help="OpenCV calibration: one file, or several.")
-    ] = [],  # noqa: B006
-    camera: Annotated[
-        str, typer.Option(metavar="SHEET", help="Without a file: '2448x2048, 3.45 um, f 16 mm'.")
-    ] = "",
-    projector: Annotated[
-        str, typer.Option(metavar="SHEET", help="Likewise: '1280x800, throw 1.4, offset 100 %'.")
-    ] = "",
-    baseline_mm: Annotated[
-        float, typer.Option(help="Of data sheets: projector to the right of the camera.")
-    ] = 100.0,
-    camera_size: Annotated[
-        tuple[int, int] | None,
-        typer.Option(metavar="COLUMNS ROWS", help="If the file does not say."),
-    ] = None,
-    projector_size: Annotated[
-        tuple[int, int] | None,
-        typer.Option(metavar="COLUMNS ROWS", help="If the file does not say."),
-    ] = None,
+    output: Path,
+    distance_mm: Annotated[float, typer.Option()],
+    calibration: Annotated[list[Path], typer.Argument()] = [],  # noqa: B006
+    camera: Annotated[str, typer.Option(metavar="SHEET")] = "",
+    projector: Annotated[str, typer.Option(metavar="SHEET")] = "",
+    baseline_mm: float = 100.0,
+    camera_size: Annotated[tuple[int, int] | None, typer.Option(metavar="COLUMNS ROWS")] = None,
+    projector_size: Annotated[tuple[int, int] | None, typer.Option(metavar="COLUMNS ROWS")] = None,
     mm_per_unit: opt.MmPerUnit = None,
-    second_to_first: Annotated[
-        bool, typer.Option("--second-to-first", help="R and T take projector points to the camera.")
-    ] = False,
+    second_to_first: bool = False,
     name: opt.PartNames = [],  # noqa: B006
     as_json: opt.AsJson = False,
 ) -> None:
-    """Turn a calibration or two data sheets into a scene: the user's own rig in front of a plate, a cap and a step."""
+    """Turn a calibration or two data sheets into a scene: the user's own rig in front of a plate, a cap and a step.
+
+    output: Scene TOML to write.
+    distance_mm: Working distance in front of the camera.
+    calibration: OpenCV calibration: one file, or several.
+    camera: Without a file: '2448x2048, 3.45 um, f 16 mm'.
+    projector: Likewise: '1280x800, throw 1.4, offset 100 %'.
+    baseline_mm: Of data sheets: projector to the right of the camera.
+    camera_size: If the file does not say.
+    projector_size: If the file does not say.
+    second_to_first: R and T take projector points to the camera.
+    """
     check_outputs({"-o": output}, calibration)
     import scenes
     from fringebench.experiments.rigs.data_sheet import rig_of_sheets
@@ -87,20 +83,24 @@ def twin(
     )
 
 
-@app.command(epilog="Example: fringebench calibrate bench --poses 20 --board charuco")
+@command(app, "fringebench calibrate bench --poses 20 --board charuco")
 def calibrate(
     scene: opt.SceneName = "bench",
-    board: Annotated[str, typer.Option(help="checkerboard or charuco.")] = "checkerboard",
-    poses: Annotated[int, typer.Option(help="Pictures of the chart.", min=4)] = 15,
-    output: Annotated[
-        Path | None, opt.destination("Also write the calibration (.yml, .xml, .json).")
-    ] = None,
+    board: str = "checkerboard",
+    poses: Annotated[int, typer.Option(min=4)] = 15,
+    output: Path | None = None,
     settings: opt.Settings = [],  # noqa: B006
-    seed: Annotated[int, typer.Option(help="Seed of poses, light paths and noise.", min=0)] = 0,
+    seed: opt.Seed = 0,
     progress: opt.ShowProgress = Mode.AUTO,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Render a chart in several poses, calibrate from the images with OpenCV, and compare with the rendered rig."""
+    """Render a chart in several poses, calibrate from the images with OpenCV, and compare with the rendered rig.
+
+    board: checkerboard or charuco.
+    poses: Pictures of the chart.
+    output: Also write the calibration (.yml, .xml, .json).
+    seed: Seed of poses, light paths and noise.
+    """
     check_outputs({"-o": output}, [scene])
     import scenes
     from fringebench.experiments.rigs.virtual_calibration import calibrate as run
@@ -134,19 +134,19 @@ def calibrate(
     )
 
 
-@app.command(epilog="Example: fringebench accept mine.toml --limit-um 50")
+@command(app, "fringebench accept mine.toml --limit-um 50")
 def accept(
     rig: opt.SceneName,
-    limit_um: Annotated[
-        float | None,
-        typer.Option(help="Maximum permissible error of every measure; exit status 1 above it."),
-    ] = None,
+    limit_um: float | None = None,
     settings: opt.Settings = [],  # noqa: B006
     seed: opt.Seed = 0,
     progress: opt.ShowProgress = Mode.AUTO,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Acceptance test after VDI/VDE 2634-2 and ISO 10360-13: probing error, sphere distance, flatness."""
+    """Acceptance test after VDI/VDE 2634-2 and ISO 10360-13: probing error, sphere distance, flatness.
+
+    limit_um: Maximum permissible error of every measure; exit status 1 above it.
+    """
     import scenes
     from fringebench import verbs
 

@@ -9,6 +9,7 @@ from rich.markup import escape
 
 from fringebench.cli import shared_options as opt
 from fringebench.cli.overrides import parse_overrides
+from fringebench.cli.registration import command
 from fringebench.cli.terminal import answer_console, print_figures, print_json, progress_steps, say
 from fringebench.progress import Mode
 
@@ -17,7 +18,7 @@ app = typer.Typer()
 NAIVE_TITLE = "one exposure, saturation ignored (the textbook's warning)"
 
 
-@app.command(epilog="Example: fringebench run solder --set camera.resolution=[320,240] -o out")
+@command(app, "fringebench run solder --set camera.resolution=[320,240] -o out")
 def run(
     scene: opt.SceneName = "bench",
     output: opt.Folder = None,
@@ -53,16 +54,18 @@ def run(
     say(f"files in {result.folder}  ({spent})")
 
 
-@app.command("scenes", epilog="Example: fringebench scenes bench > mine.toml")
+@command(app, "fringebench scenes bench > mine.toml")
 def list_scenes(
-    name: Annotated[str | None, typer.Argument(help="Print this scene's TOML.")] = None,
-    schema: Annotated[
-        bool, typer.Option("--schema", help="Print the JSON schema of scene files.")
-    ] = False,
+    name: Annotated[str | None, typer.Argument()] = None,
+    schema: bool = False,
     settings: opt.Settings = [],  # noqa: B006
     as_json: opt.AsJson = False,
 ) -> None:
-    """List the shipped scenes, print one's TOML, or print the schema."""
+    """List the shipped scenes, print one's TOML, or print the schema.
+
+    name: Print this scene's TOML.
+    schema: Print the JSON schema of scene files.
+    """
     import scenes
 
     if schema:
@@ -87,7 +90,7 @@ def list_scenes(
             print_figures([table])
 
 
-@app.command(epilog="Example: fringebench chapter -o figures --json")
+@command(app, "fringebench chapter -o figures --json")
 def chapter(
     output: opt.Folder = None,
     seed: opt.Seed = 0,
@@ -107,7 +110,7 @@ def chapter(
         say(f"figures in {output}")
 
 
-@app.command(epilog="Example: fringebench doctor --json")
+@command(app, "fringebench doctor --json")
 def doctor(as_json: opt.AsJson = False) -> None:
     """Show what this machine has, and what to do about what is missing."""
     from fringebench.diagnosis import diagnose

@@ -9,6 +9,7 @@ from rich.markup import escape
 from fringebench.cli import shared_options as opt
 from fringebench.cli.outputs import check_outputs
 from fringebench.cli.overrides import override_exposed, parse_overrides
+from fringebench.cli.registration import command
 from fringebench.cli.terminal import (
     answer,
     answer_console,
@@ -22,31 +23,27 @@ from fringebench.progress import Mode
 app = typer.Typer()
 
 
-@app.command("render", epilog="Example: fringebench render step -o transport.exr --truth truth.exr")
+@command(app, "fringebench render step -o transport.exr --truth truth.exr")
 def render_scene(
     scene: opt.SceneName,
-    output: Annotated[Path, opt.destination("Transport file.")] = Path("transport.exr"),
-    truth: Annotated[
-        Path | None, typer.Option(help="Also write the truth maps to this file.")
-    ] = None,
+    output: Path = Path("transport.exr"),
+    truth: Path | None = None,
     settings: opt.Settings = [],  # noqa: B006
     phase_error: opt.PhaseError = None,
     render_noise: opt.RenderNoise = None,
     seed: opt.Seed = 0,
-    samples: Annotated[
-        int | None,
-        typer.Option(
-            help="As sampling.samples of the scene; with --phase-error, of each pass.", min=1
-        ),
-    ] = None,
-    depth: Annotated[
-        int | None,
-        typer.Option(help="Maximum number of surfaces on a light path; 1: direct light.", min=1),
-    ] = None,
+    samples: opt.CountOrNone = None,
+    depth: opt.CountOrNone = None,
     progress: opt.ShowProgress = Mode.AUTO,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Trace a scene's light transport, once, for all its patterns."""
+    """Trace a scene's light transport, once, for all its patterns.
+
+    output: Transport file.
+    truth: Also write the truth maps to this file.
+    samples: As sampling.samples of the scene; with --phase-error, of each pass.
+    depth: Maximum number of surfaces on a light path; 1: direct light.
+    """
     check_outputs({"-o": output, "--truth": truth}, [scene])
     import render
     import scenes
@@ -87,28 +84,24 @@ def render_scene(
         say(describe(light))
 
 
-@app.command(
-    epilog="Example: fringebench expose transport.exr -o stack.exr --exposure-ms 2 --exposure-ms 8"
-)
+@command(app, "fringebench expose transport.exr -o stack.exr --exposure-ms 2 --exposure-ms 8")
 def expose(
-    transport: Annotated[Path, typer.Argument(help="A transport EXR, written by render.")],
-    output: Annotated[Path, opt.destination("Stack file.")] = Path("stack.exr"),
-    exposure_ms: Annotated[
-        list[float], typer.Option(help="Exposure time; may be repeated. Default: the scene's own.")
-    ] = [],  # noqa: B006
-    settings: Annotated[
-        list[str],
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="Override a key of sensor, exposures or patterns; may be repeated.",
-        ),
-    ] = [],  # noqa: B006
-    seed: Annotated[int, typer.Option(help="Seed of sensor noise.", min=0)] = 0,
+    transport: Path,
+    output: Path = Path("stack.exr"),
+    exposure_ms: list[float] = [],  # noqa: B006
+    settings: opt.Settings = [],  # noqa: B006
+    seed: opt.Seed = 0,
     progress: opt.ShowProgress = Mode.AUTO,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Turn transport into frames of digital numbers: exposures, noise, clipping."""
+    """Turn transport into frames of digital numbers: exposures, noise, clipping.
+
+    transport: A transport EXR, written by render.
+    output: Stack file.
+    exposure_ms: Exposure time; may be repeated. Default: the scene's own.
+    settings: Override a key of sensor, exposures or patterns; may be repeated.
+    seed: Seed of sensor noise.
+    """
     check_outputs({"-o": output}, [transport])
     import render
 
@@ -131,80 +124,49 @@ def expose(
     answer(as_json, {"stack": str(output), "shape": stack.frames.shape} | levels, said)
 
 
-@app.command(
-    "decode", epilog="Example: fringebench decode stack.exr -o reconstruction.exr --fusion single"
-)
+@command(app, "fringebench decode stack.exr -o reconstruction.exr --fusion single")
 def decode_stack(
-    stack: Annotated[Path, typer.Argument(help="A stack EXR, written by expose or import.")],
-    output: Annotated[Path, opt.destination("Reconstruction file.")] = Path("reconstruction.exr"),
+    stack: Path,
+    output: Path = Path("reconstruction.exr"),
     fusion: opt.Fusion = "max-modulation",
-    unwrap: Annotated[
-        str | None, typer.Option(help="Unwrapping: temporal, row-scan, quality-guided.")
-    ] = None,
-    height: Annotated[
-        str | None,
-        typer.Option(
-            help="Height: triangulation, reference-plane, linear; phase: none, phases only. With a screen: "
-            "two-positions, integration."
-        ),
-    ] = None,
-    projector: Annotated[
-        int | None,
-        typer.Option(help="Use this projector, or screen position, alone; counted from 0.", min=0),
-    ] = None,
+    unwrap: str | None = None,
+    height: str | None = None,
+    projector: Annotated[int | None, typer.Option(min=0)] = None,
     known_point: Annotated[
-        tuple[int, int, float] | None,
-        typer.Option(
-            metavar="ROW COL MM",
-            help="With one position of a screen: height of the surface at a pixel.",
-        ),
+        tuple[int, int, float] | None, typer.Option(metavar="ROW COL MM")
     ] = None,
-    c_px_per_mm: Annotated[
-        float | None,
-        typer.Option(
-            help="Fringe shift per mm of height, for a linear height without calibration."
-        ),
-    ] = None,
-    gamma: Annotated[
-        str | None,
-        typer.Option(help="Correct the phase for this gamma; 'estimate': from harmonics."),
-    ] = None,
-    roi: Annotated[
-        tuple[int, int, int, int] | None,
-        typer.Option(metavar="ROW0 ROW1 COL0 COL1", help="Decode only this region."),
-    ] = None,
-    anchor: Annotated[
-        str | None,
-        typer.Option(
-            help="What fixes the coarsest order: gray, volume, field; spatial: nothing measured."
-        ),
-    ] = None,
-    axis: Annotated[
-        str | None, typer.Option(help="Projector axis that measures height: column, row.")
-    ] = None,
-    saturation: Annotated[
-        str, typer.Option(help="reject; or ignore: clipped samples count as good.")
-    ] = "reject",
-    min_modulation_dn: Annotated[
-        float | None, typer.Option(help="Modulation below which a pixel is dark, DN.")
-    ] = None,
-    max_order_residual: Annotated[
-        float,
-        typer.Option(help="Largest distance of a predicted order from a whole number, periods."),
-    ] = 0.25,
-    uncertainty: Annotated[
-        str,
-        typer.Option(
-            help="sensor; by-cause: look for mixed pixels and indirect light too, and reject what they spoil."
-        ),
-    ] = "sensor",
-    matcher: Annotated[
-        str | None, typer.Option(help="Two cameras without fringes: sgbm, bm.")
-    ] = None,
+    c_px_per_mm: float | None = None,
+    gamma: str | None = None,
+    roi: opt.Region = None,
+    anchor: str | None = None,
+    axis: str | None = None,
+    saturation: str = "reject",
+    min_modulation_dn: float | None = None,
+    max_order_residual: float = 0.25,
+    uncertainty: str = "sensor",
+    matcher: str | None = None,
     progress: opt.ShowProgress = Mode.AUTO,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Reconstruct heights from a stack."""
+    """Reconstruct heights from a stack.
+
+    stack: A stack EXR, written by expose or import.
+    output: Reconstruction file.
+    unwrap: Unwrapping: temporal, row-scan, quality-guided.
+    height: Height: triangulation, reference-plane, linear; phase: none, phases only. With a screen: two-positions, integration.
+    projector: Use this projector, or screen position, alone; counted from 0.
+    known_point: With one position of a screen: height of the surface at a pixel.
+    c_px_per_mm: Fringe shift per mm of height, for a linear height without calibration.
+    gamma: Correct the phase for this gamma; 'estimate': from harmonics.
+    roi: Decode only this region.
+    anchor: What fixes the coarsest order: gray, volume, field; spatial: nothing measured.
+    axis: Projector axis that measures height: column, row.
+    saturation: reject; or ignore: clipped samples count as good.
+    min_modulation_dn: Modulation below which a pixel is dark, DN.
+    max_order_residual: Largest distance of a predicted order from a whole number, periods.
+    uncertainty: sensor; by-cause: look for mixed pixels and indirect light too, and reject what they spoil.
+    matcher: Two cameras without fringes: sgbm, bm.
+    """
     check_outputs({"-o": output}, [stack])
     import decode
     import scenes
@@ -253,21 +215,21 @@ def decode_stack(
         )
 
 
-@app.command(epilog="Example: fringebench evaluate reconstruction.exr truth.exr --json")
+@command(app, "fringebench evaluate reconstruction.exr truth.exr --json")
 def evaluate(
-    reconstruction: Annotated[
-        Path, typer.Argument(help="A reconstruction EXR, written by decode.")
-    ],
-    truth: Annotated[Path, typer.Argument(help="A truth EXR, written by render --truth.")],
-    output: Annotated[
-        Path | None, opt.destination("Also write the scores to this JSON file.")
-    ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Score even if the truth is of another scene or rig.")
-    ] = False,
+    reconstruction: Path,
+    truth: Path,
+    output: Path | None = None,
+    force: bool = False,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Score a reconstruction against the truth."""
+    """Score a reconstruction against the truth.
+
+    reconstruction: A reconstruction EXR, written by decode.
+    truth: A truth EXR, written by render --truth.
+    output: Also write the scores to this JSON file.
+    force: Score even if the truth is of another scene or rig.
+    """
     check_outputs({"-o": output}, [reconstruction, truth])
     import decode
     import evaluation

@@ -10,27 +10,27 @@ import typer
 from fringebench.cli import shared_options as opt
 from fringebench.cli.outputs import check_outputs
 from fringebench.cli.overrides import parse_overrides
+from fringebench.cli.registration import command
 from fringebench.cli.terminal import answer
 
 app = typer.Typer()
 
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 
-
-@app.command(epilog="Example: fringebench view out/reconstruction.exr --truth out/truth.exr --open")
+@command(app, "fringebench view out/reconstruction.exr --truth out/truth.exr --open")
 def view(
-    file: Annotated[Path, typer.Argument(help="A transport, stack, truth or reconstruction EXR.")],
-    output: Annotated[
-        Path | None,
-        opt.destination("Page (.html) or contact sheet (.png); default: NAME.html here."),
-    ] = None,
-    truth: Annotated[
-        Path | None, typer.Option(help="A truth EXR: adds the errors of a reconstruction.")
-    ] = None,
-    show: Annotated[bool, typer.Option("--open", help="Open it in the browser.")] = False,
-    as_json: AsJson = False,
+    file: Path,
+    output: Path | None = None,
+    truth: Path | None = None,
+    show: Annotated[bool, typer.Option("--open")] = False,
+    as_json: opt.AsJson = False,
 ) -> None:
-    """Show what a fringebench EXR file holds, as an HTML page or a contact sheet."""
+    """Show what a fringebench EXR file holds, as an HTML page or a contact sheet.
+
+    file: A transport, stack, truth or reconstruction EXR.
+    output: Page (.html) or contact sheet (.png); default: NAME.html here.
+    truth: A truth EXR: adds the errors of a reconstruction.
+    show: Open it in the browser.
+    """
     from fringebench.exchange.viewer import read_view, write_view
 
     target = output or Path(f"{file.stem}.html")
@@ -41,29 +41,23 @@ def view(
         sys.stderr.write(f"fringebench: no browser found: open {target} yourself\n")
 
 
-@app.command(epilog="Example: fringebench convert out/reconstruction.exr -o height.png")
+@command(app, "fringebench convert out/reconstruction.exr -o height.png")
 def convert(
-    source: Annotated[
-        str, typer.Argument(help="A reconstruction or truth EXR, or a scene (name or TOML).")
-    ],
-    output: Annotated[
-        Path,
-        opt.destination(
-            "Heights: .png .tif (16 bits). Surface: .ply .obj .glb. Scene: .glb .obj .ply .stl."
-        ),
-    ],
-    truth: Annotated[
-        Path | None, typer.Option(help="A truth EXR: adds the errors to a PLY.")
-    ] = None,
-    points: Annotated[
-        bool, typer.Option("--points", help="PLY of points only, without triangles.")
-    ] = False,
-    settings: Annotated[
-        list[str], typer.Option("--set", metavar="KEY=VALUE", help="Override a key of the scene.")
-    ] = [],  # noqa: B006
-    as_json: AsJson = False,
+    source: str,
+    output: Path,
+    truth: Path | None = None,
+    points: bool = False,
+    settings: opt.Settings = [],  # noqa: B006
+    as_json: opt.AsJson = False,
 ) -> None:
-    """Write heights, surfaces and scenes in the formats of other programs; for frames use export."""
+    """Write heights, surfaces and scenes in the formats of other programs; for frames use export.
+
+    source: A reconstruction or truth EXR, or a scene (name or TOML).
+    output: Heights: .png .tif (16 bits). Surface: .ply .obj .glb. Scene: .glb .obj .ply .stl.
+    truth: A truth EXR: adds the errors to a PLY.
+    points: PLY of points only, without triangles.
+    settings: Override a key of the scene.
+    """
     check_outputs({"-o": output}, [source] if truth is None else [source, truth])
     from fringebench.exchange.conversion import convert as run
 
