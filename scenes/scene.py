@@ -12,6 +12,7 @@ from scenes.acquisition.patterns import EvenLight, Frame, Patterns, RandomDots
 from scenes.acquisition.sensor import Sensor, SimpleSensor
 from scenes.board.board import Board
 from scenes.rig.calibration import Calibration
+from scenes.rig.camera_pair import require_pair
 from scenes.rig.devices import Pinhole, Vector
 from scenes.rig.projectors import Camera, Projector, Screen, require_one_kind
 from scenes.shapes.materials import LIBRARY, Material
@@ -236,27 +237,7 @@ class Scene(Frozen):
                     "them; add one, or use phase-shift"
                 )
             return
-        if not isinstance(self.camera, Pinhole):
-            raise ValueError(  # noqa: TRY004
-                "second_camera needs a camera of model 'pinhole': stereo of telecentric cameras is not supported"
-            )
-        if second.resolution != self.camera.resolution:
-            raise ValueError(
-                f"second_camera has resolution {list(second.resolution)}, camera {list(self.camera.resolution)}: give both the same"
-            )
-        one, two = self.camera.projection(), second.projection()
-        if np.linalg.norm(one.origin_mm - two.origin_mm) < 1e-6:
-            raise ValueError(
-                "second_camera is where camera is, so no height can be measured: move one of them"
-            )
-        if one.axis @ two.axis < 0.5:
-            raise ValueError(
-                "camera and second_camera look more than 60 degrees apart: turn them towards one place"
-            )
-        if isinstance(self.projectors[0], Screen):
-            raise ValueError(  # noqa: TRY004
-                "a screen is measured by one camera: leave second_camera out"
-            )
+        require_pair(self.camera, second, self.projectors)
         dotted = isinstance(self.patterns, RandomDots)
         for index, projector in enumerate(self.projectors):
             if dotted and (projector.fill_factor is not None or projector.psf_sigma_px > 0.0):
