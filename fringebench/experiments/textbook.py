@@ -87,91 +87,45 @@ def run(
 
 
 def _rows(
-    clean: "ChapterExperiment", dim: "ChapterExperiment", trap: "ChapterExperiment"
+    clean: ChapterExperiment, dim: ChapterExperiment, trap: ChapterExperiment
 ) -> tuple[ChapterRow, ...]:
-    base = "base"
-    apex, apex_noise = clean.apex_true_mm, clean.apex_noise_mm
-    gain = trap.shading("highlight")
-    base_rms, dim_rms = clean.rms(base), dim.rms(base)
-    return (
-        ChapterRow(
-            "apex_clean_mm",
-            5.994,
-            apex,
-            clean.apex_mm,
-            f"mean of {APEX_PX} x {APEX_PX} px over {CAPTURES} captures (sd {apex_noise:.4f}); theory: the truth there",
-        ),
-        ChapterRow(
-            "step_clean_mm",
-            2.999,
-            clean.step_mm[1],
-            clean.step_mm[0],
-            "plane on the step less plane around it; theory: the truth",
-        ),
-        ChapterRow(
-            "base_rms_mm",
-            0.0338,
-            clean.rms_theory(base),
-            base_rms,
-            "P/(2 pi c) sigma/(sqrt(2) B) = 0.0338; 8-bit rounding adds 0.5 %",
-        ),
-        ChapterRow(
-            "base_rms_dim_mm",
-            0.1823,
-            dim.rms_theory(base),
-            dim_rms,
-            "formula 0.1801; rounding adds 0.5 %, the arctangent's curvature 1 %",
-        ),
-        ChapterRow(
-            "dim_ratio",
-            5.4,
-            dim.rms_theory(base) / clean.rms_theory(base),
-            dim_rms / base_rms,
-            "80/15 = 5.33, and the arctangent's curvature",
-        ),
-        ChapterRow(
-            "dark_flagged_fraction",
-            0.997,
-            trap.flagged_theory("ink"),
-            trap.flagged("ink"),
-            f"P(B < {MASK_DN:g}) of Rice's distribution about B = {trap.modulation('ink'):.1f}",
-        ),
-        ChapterRow(
-            "base_false_alarm_fraction",
-            0.0,
-            trap.flagged_theory(base),
-            trap.flagged(base),
-            "cast shadow left out: there the mask is right",
-        ),
-        ChapterRow(
-            "saturated_flagged_fraction",
+    """Each figure as printed in the chapter, by theory and as measured, and what to know of it."""
+    apex, (step, step_true) = clean.apex_true_mm, clean.step_mm
+    noise, dim_noise = clean.rms_theory("base"), dim.rms_theory("base")
+    measured, dim_measured = clean.rms("base"), dim.rms("base")
+    figures = {
+        "apex_clean_mm": (5.994, apex, clean.apex_mm),
+        "step_clean_mm": (2.999, step_true, step),
+        "base_rms_mm": (0.0338, noise, measured),
+        "base_rms_dim_mm": (0.1823, dim_noise, dim_measured),
+        "dim_ratio": (5.4, dim_noise / noise, dim_measured / measured),
+        "dark_flagged_fraction": (0.997, trap.flagged_theory("ink"), trap.flagged("ink")),
+        "base_false_alarm_fraction": (0.0, trap.flagged_theory("base"), trap.flagged("base")),
+        "saturated_flagged_fraction": (
             0.0,
             trap.flagged_theory("highlight"),
             trap.flagged("highlight"),
-            f"clipping leaves B = {trap.modulation('highlight'):.0f}: the mask cannot see it",
         ),
-        ChapterRow(
-            "apex_saturated_mm",
-            5.928,
-            apex + trap.apex_bias_theory_mm,
-            trap.apex_mm,
-            "as apex_clean; the bias is a ripple over 8 px of fringe, up to +-0.073 mm for this mean, +-0.18 for one pixel",
-        ),
-        ChapterRow(
-            "saturated_rms_mm",
-            0.1087,
-            trap.rms_theory("highlight"),
-            trap.rms("highlight"),
-            f"shading on the cap's slope moves the gain by {gain[0]:+.0%} to {gain[1]:+.0%}",
-        ),
-        ChapterRow(
-            "dark_rms_mm",
-            0.1911,
-            trap.rms_theory("ink"),
-            trap.rms("ink"),
-            "of all dark pixels, unmasked; clipping at 0 trims the noise; no wrong orders (they need 5 sigma)",
-        ),
+        "apex_saturated_mm": (5.928, apex + trap.apex_bias_theory_mm, trap.apex_mm),
+        "saturated_rms_mm": (0.1087, trap.rms_theory("highlight"), trap.rms("highlight")),
+        "dark_rms_mm": (0.1911, trap.rms_theory("ink"), trap.rms("ink")),
+    }
+    low, high = trap.shading("highlight")
+    notes = (
+        f"mean of {APEX_PX} x {APEX_PX} px over {CAPTURES} captures (sd {clean.apex_noise_mm:.4f}); theory: the truth there",
+        "plane on the step less plane around it; theory: the truth",
+        "P/(2 pi c) sigma/(sqrt(2) B) = 0.0338; 8-bit rounding adds 0.5 %",
+        "formula 0.1801; rounding adds 0.5 %, the arctangent's curvature 1 %",
+        "80/15 = 5.33, and the arctangent's curvature",
+        f"P(B < {MASK_DN:g}) of Rice's distribution about B = {trap.modulation('ink'):.1f}",
+        "cast shadow left out: there the mask is right",
+        f"clipping leaves B = {trap.modulation('highlight'):.0f}: the mask cannot see it",
+        "as apex_clean; the bias is a ripple over 8 px of fringe, up to +-0.073 mm for this mean, +-0.18 for one pixel",
+        f"shading on the cap's slope moves the gain by {low:+.0%} to {high:+.0%}",
+        "of all dark pixels, unmasked; clipping at 0 trims the noise; no wrong orders (they need 5 sigma)",
     )
+    rows = zip(figures.items(), notes, strict=True)
+    return tuple(ChapterRow(name, *three, note) for (name, three), note in rows)
 
 
 def _pictures(clean: ChapterExperiment, trap: ChapterExperiment) -> dict[str, Any]:

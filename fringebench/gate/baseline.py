@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
-from evaluation.gate.equivalence import Estimate
 from evaluation.gate.regression import Figures
 from fringebench.gate.error_maps import ErrorMaps
 from scenes.support.atomic_file import replacing
@@ -87,13 +87,7 @@ class Baseline:
                     f"baseline '{path}' has format {tree['format']} {tree['version']}, not {FORMAT} {VERSION}: make it again "
                     "with --update and a new file"
                 )
-            figures = {
-                case: {
-                    region: {metric: _estimate(estimate) for metric, estimate in metrics.items()}
-                    for region, metrics in regions.items()
-                }
-                for case, regions in tree["figures"].items()
-            }
+            figures = TypeAdapter(dict[str, Figures]).validate_python(tree["figures"])
             seeds = tuple(int(seed) for seed in tree.get("seeds", ()))
             decoder, suite = str(tree["decoder"]), str(tree["suite"])
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
@@ -138,11 +132,6 @@ def _region_lines(regions: Figures) -> list[str]:
         + "\n   }"
         for region, metrics in regions.items()
     ]
-
-
-def _estimate(tree: dict[str, Any]) -> Estimate:
-    values = tree.get("values")
-    return Estimate(**tree | {"values": None if values is None else tuple(map(float, values))})
 
 
 def _read_maps(path: Path) -> dict[str, ErrorMaps]:

@@ -149,8 +149,7 @@ class _InWorker(Decoder):
         """What the worker says; raises `OutsideDecoderError` for an error, and where it ended without a word."""
         line = self._program.read_line(self._answers, self._timeout_s)
         if line is None:
-            status = self._program.exit_status()
-            how = f"was killed by signal {-status}" if status < 0 else f"ended with status {status}"
+            how = self._program.ending(self._program.exit_status())
             raise OutsideDecoderError(
                 f"decoder '{self._spec}': its process {how} during {what}, without an answer; "
                 f"its last words: {self._program.last_line}"
@@ -192,13 +191,7 @@ class _Command(Decoder):
             for mark, path in places.items():
                 words = [word.replace(mark, path) for word in words]
             with Supervised(words) as program:
-                status = program.wait(self._timeout_s)
-                last_line = program.last_line
-            if status:
-                how = (
-                    f"was killed by signal {-status}"
-                    if status < 0
-                    else f"ended with status {status}"
-                )
-                raise OutsideDecoderError(f"'{words[0]}' {how}: {last_line}")
+                if status := program.wait(self._timeout_s):
+                    how = program.ending(status)
+                    raise OutsideDecoderError(f"'{words[0]}' {how}: {program.last_line}")
             return read_output(folder, "heights", stack.frames.shape[2:], words[0])

@@ -106,6 +106,10 @@ class Supervised:
                     return None
         return bytes(line)
 
+    def ending(self, status: int) -> str:
+        """How it ended, in words."""
+        return f"was killed by signal {-status}" if status < 0 else f"ended with status {status}"
+
     def wait(self, limit_s: float) -> int:
         """Wait for the end; returns the exit status (negative: a signal). `OutsideDecoderError` if it cannot start, takes too
         long or prints too much.

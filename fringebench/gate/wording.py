@@ -34,29 +34,19 @@ def scaled(metric: str) -> tuple[float, str]:
     return (1000.0, "µm") if metric.endswith("_mm") else (100.0, "%")
 
 
-def number(value: float) -> str:
-    """Two decimals: hundredths of a per cent, or 10 nm.
-
-    >>> number(0.012345), number(1234.5), number(-0.001)
-    ('0.01', '1234.50', '0.00')
-    """
-    return f"{round(value, 2) + 0.0:.2f}"
-
-
 def sentence(row: JudgedFigure, where: str = "") -> str:
     """One judged figure as a sentence: case, region, what, from and to how much, and where (see
     `fringebench.gate.error_maps.place`).
     """
     test = row.comparison
     scale, unit = scaled(row.metric)
-    old, new = number(row.old.mean * scale), number(row.new.mean * scale)
-    change = number(abs(test.difference) * scale)
-    margin = number(test.margin * scale)
+    # Two decimals: hundredths of a per cent, or 10 nm; adding 0.0 turns -0.0 into 0.0.
+    figures = (row.old.mean, row.new.mean, abs(test.difference), test.margin, test.upper)
+    old, new, change, margin, up = (f"{round(value * scale, 2) + 0.0:.2f}" for value in figures)
     moved = f"{NAMES.get(row.metric, row.metric)}: {old} {unit} -> {new} {unit}"
     if test.verdict == "worse":
         verdict = f"worse by {change} {unit}, {margin} {unit} allowed"
     elif test.verdict == "undecided":
-        up = number(test.upper * scale)
         verdict = f"may be worse by up to {up} {unit}, {margin} {unit} allowed: give more seeds"
     else:
         verdict = f"{test.verdict} by {change} {unit}"

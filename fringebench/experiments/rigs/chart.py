@@ -6,6 +6,7 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from fringebench.experiments.rigs.shared_field import common_field
 from scenes import Scene
@@ -56,9 +57,8 @@ class Chart:
     @property
     def size_mm(self) -> tuple[float, float]:
         """Width and height with the margin."""
-        return (SQUARES[0] + 2 * MARGIN) * self.square_mm, (
-            SQUARES[1] + 2 * MARGIN
-        ) * self.square_mm
+        columns, rows = (count + 2 * MARGIN for count in SQUARES)
+        return columns * self.square_mm, rows * self.square_mm
 
     @property
     def corners_mm(self) -> Floats:
@@ -117,19 +117,15 @@ class ChartPose:
 
     def place(self, points_mm: Floats) -> Floats:
         """Points (point, 3) in mm of the frame of the chart in world coordinates."""
-        a, b, c = np.deg2rad(self.rotation_deg)
-        about_x = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
-        about_y = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
-        about_z = np.array([[np.cos(c), -np.sin(c), 0], [np.sin(c), np.cos(c), 0], [0, 0, 1]])
-        turned = points_mm @ (about_z @ about_y @ about_x).T
-        return np.asarray(turned + np.array(self.position_mm))
+        turn = Rotation.from_euler("xyz", self.rotation_deg, degrees=True)
+        return np.asarray(turn.apply(points_mm) + np.array(self.position_mm))
 
 
 def fitting(scene: Scene, kind: Kind) -> Chart:
     """A chart that fills most of the common field of camera and projector at z = 0."""
     width, height = common_field(scene.calibration()).size_mm
-    squares = SQUARES[0] + 2 * MARGIN, SQUARES[1] + 2 * MARGIN
-    return Chart(kind, FILLS * min(width / squares[0], height / squares[1]))
+    one = Chart(kind, 1.0).size_mm
+    return Chart(kind, FILLS * min(width / one[0], height / one[1]))
 
 
 def poses(scene: Scene, chart: Chart, count: int, rng: np.random.Generator) -> list[ChartPose]:

@@ -65,18 +65,13 @@ class CalibrationResult:
         """(name, rendered, found, difference): lengths in mm, pixels, angles in degrees; relative difference for the
         focal lengths and the baseline."""
         rows = []
-        for name, one, two in zip(
-            ("camera", "projector"), _devices(self.true), _devices(self.found), strict=True
-        ):
-            for part in ("fx", "fy"):
-                a, b = (float(getattr(p.projection(), part)) for p in (one, two))
-                rows.append((f"{name}.{part}_px", a, b, b / a - 1.0))
-            for part in ("cx", "cy"):
-                a, b = (float(getattr(p.projection(), part)) for p in (one, two))
-                rows.append((f"{name}.{part}_px", a, b, b - a))
-            for term, a, b in zip(
-                ("k1", "k2", "p1", "p2", "k3"), one.distortion, two.distortion, strict=True
-            ):
+        devices = zip(_devices(self.true), _devices(self.found), strict=True)
+        for name, pair in zip(("camera", "projector"), devices, strict=True):
+            for part in ("fx", "fy", "cx", "cy"):
+                a, b = (float(getattr(p.projection(), part)) for p in pair)
+                rows.append((f"{name}.{part}_px", a, b, b / a - 1.0 if part[0] == "f" else b - a))
+            for i, term in enumerate(("k1", "k2", "p1", "p2", "k3")):
+                a, b = (device.distortion[i] for device in pair)
                 rows.append((f"{name}.{term}", a, b, b - a))
         (R1, t1), (R2, t2) = (_relative(c) for c in (self.true, self.found))
         baseline, found = (float(np.linalg.norm(t)) for t in (t1, t2))

@@ -60,7 +60,7 @@ def test_reasons_have_the_colours_of_the_picture_beside_it() -> None:
     shown = json.loads(inspector_of(stack, rec).to_json())["maps"][-1]["image"]
     png = base64.b64decode(shown.partition(",")[2])
     image = reason_map(rec).axes[0].images[0]
-    drawn = image.to_rgba(image.get_array(), bytes=True)[..., :3]
+    drawn = image.to_rgba(np.asarray(image.get_array()), bytes=True)[..., :3]
     np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(png))), drawn)
 
 
