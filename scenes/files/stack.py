@@ -7,12 +7,12 @@ from typing import Any, Self
 import numpy as np
 import OpenEXR
 from numpy.typing import DTypeLike, NDArray
-from pydantic import TypeAdapter, ValidationError
+from pydantic import BaseModel
 
 from scenes.acquisition.patterns import Frame
 from scenes.acquisition.sensor import Sensor
 from scenes.files import exr_rows
-from scenes.files.exr import Identity, identity_of
+from scenes.files.exr import Identity
 from scenes.files.exr_rows import Bands
 from scenes.rig.calibration import Calibration
 from scenes.rig.devices import Resolution
@@ -149,32 +149,29 @@ class Stack(Displayed):
     def read(cls, path: str | Path) -> Self:
         """Read a stack; raises `FileError` for anything but a complete stack file of this version."""
         with exr_rows.reading(path, KIND) as bands:
-            meta = bands.meta
             try:
-                patterns = TypeAdapter(tuple[Frame, ...]).validate_python(meta["patterns"])
-                exposure_ms = TypeAdapter(tuple[float, ...]).validate_python(meta["exposure_ms"])
-                sensor: Sensor = TypeAdapter(Sensor).validate_python(meta["sensor"])
-                calibration = meta["calibration"]
-                dtype = np.dtype(str(meta["dtype"]))
-                size = TypeAdapter(Resolution | None).validate_python(
-                    meta.get("projector_resolution")
-                )
-                return cls(
-                    _frames(bands, len(exposure_ms), len(patterns), dtype, f"'{path}'"),
-                    patterns,
-                    exposure_ms,
-                    sensor,
-                    None if calibration is None else Calibration.model_validate(calibration),
-                    str(meta["scene"]),
-                    meta["seed"],
-                    size,
-                    TypeAdapter(float | None).validate_python(meta.get("gamma")),
-                    identity_of(meta),
-                )
-            except (KeyError, TypeError, ValueError, ValidationError, DecodeError) as error:
+                told = _Header.model_validate(bands.meta)
+                size = len(told.exposure_ms), len(told.patterns)
+                dtype = np.dtype(str(bands.meta["dtype"]))
+                return cls(_frames(bands, *size, dtype, f"'{path}'"), **dict(told))
+            except (KeyError, TypeError, ValueError, DecodeError) as error:
                 raise FileError(
                     f"'{path}': its stack header or channels are damaged: {in_words(error)}"
                 ) from error
+
+
+class _Header(BaseModel):
+    """What a file's header says of a stack; what is not required is not in older files."""
+
+    patterns: tuple[Frame, ...]
+    exposure_ms: tuple[float, ...]
+    sensor: Sensor
+    calibration: Calibration | None
+    scene: str
+    seed: int | None
+    projector_resolution: Resolution | None = None
+    gamma: float | None = None
+    identity: dict[str, str] = {}
 
 
 def _names(exposures: int, frames: int) -> list[str]:

@@ -15,6 +15,7 @@ import numpy as np
 import scipy.io
 from numpy.typing import NDArray
 
+from scenes.rig.calibration_numbers import off_rotation
 from scenes.rig.colmap_files import colmap_nodes
 from scenes.support.errors import FileError
 from scenes.support.safe_parse import parse_json, parse_xml, parse_yaml
@@ -226,5 +227,5 @@ def _decomposed(
 
 
 def _is_rotation(matrix: NDArray[np.float64]) -> bool:
-    off = np.abs(matrix @ matrix.T - np.eye(3)).max()
-    return bool(off < ORTHONORMAL and np.linalg.det(matrix) > 0)
+    off, determinant = off_rotation(matrix)
+    return off < ORTHONORMAL and determinant > 0

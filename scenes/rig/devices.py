@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Discriminator, Field, PositiveFloat, PositiveInt, Tag, model_validator
 
+from scenes.rig.calibration_numbers import off_rotation
 from scenes.rig.illumination_map import IlluminationMap, interpolated
 from scenes.rig.projection import Coefficients, Projection, distort, monotone_radius, undistort
 from scenes.support.frozen import Frozen
@@ -87,12 +88,11 @@ class Extrinsics(Frozen):
     @model_validator(mode="after")
     def _is_rotation(self) -> Self:
         require_reach("R and t_mm", *np.ravel(self.R), *self.t_mm)
-        rotation = np.asarray(self.R)
-        error = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-        if error > 1e-4 or np.linalg.det(rotation) < 0:
+        off, determinant = off_rotation(self.R)
+        if off > 1e-4 or determinant < 0:
             raise ValueError(
-                f"R is no rotation (R R^T is off the identity by {error:.3g}, "
-                f"determinant {np.linalg.det(rotation):.3g}): give an orthonormal, right-handed matrix"
+                f"R is no rotation (R R^T is off the identity by {off:.3g}, determinant {determinant:.3g}): give an "
+                "orthonormal, right-handed matrix"
             )
         return self
 

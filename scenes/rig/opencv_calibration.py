@@ -6,7 +6,7 @@ same x, y up and z towards the camera, and z = 0 is `distance_mm` in front of it
 """
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -19,6 +19,7 @@ from pydantic import Field, PositiveFloat, ValidationError
 from scenes.rig.calibration import Calibration
 from scenes.rig.calibration_files import entries
 from scenes.rig.calibration_names import parts_of
+from scenes.rig.calibration_numbers import coefficients, rotation, shaped
 from scenes.rig.devices import Extrinsics, Pinhole, Resolution
 from scenes.rig.projection import Coefficients
 from scenes.rig.projectors import PinholeProjector
@@ -120,15 +121,15 @@ class Pair:
         """Read the files of a source. Raises `FileError`, naming the part that is missing or impossible."""
         where = ", ".join(f"'{path}'" for path in source.files)
         parts = parts_of([entries(path) for path in source.files], source.names, where)
-        rotation = _rotation(parts["rotation"], where)
-        translation = _shaped(parts["translation"], (3,), "translation", where)
+        turn = rotation(parts["rotation"], where)
+        translation = shaped(parts["translation"], (3,), "translation", where)
         scale = source.mm_per_unit or parts.get("mm_per_unit", 1.0)
         if scale is None:
             raise FileError(
                 f"{where}: COLMAP's lengths have no unit: set mm_per_unit, the millimetres of one of its units"
             )
         if source.second_to_first:
-            rotation, translation = rotation.T, -rotation.T @ translation
+            turn, translation = turn.T, -turn.T @ translation
         apart_mm = float(np.linalg.norm(translation * scale))
         if 0.0 < apart_mm < NEAREST_MM and source.mm_per_unit is None:
             warnings.warn(
@@ -139,7 +140,7 @@ class Pair:
         return cls(
             _intrinsics(parts, "first", where),
             _intrinsics(parts, "second", where),
-            rotation,
+            turn,
             translation * scale,
             where,
         )
@@ -220,65 +221,18 @@ class Pair:
 
 
 def _intrinsics(parts: Mapping[str, Any], which: str, where: str) -> Intrinsics:
-    matrix = _shaped(parts[f"{which}_matrix"], (3, 3), f"{which}_matrix", where)
+    matrix = shaped(parts[f"{which}_matrix"], (3, 3), f"{which}_matrix", where)
     if abs(matrix[0, 1]) > 1e-6 * matrix[0, 0]:
         raise FileError(
             f"{where}: {which}_matrix has skew {matrix[0, 1]:g}: calibrate without skew"
         )
     size = parts.get(f"{which}_size")
-    columns, rows = (None, None) if size is None else _shaped(size, (2,), f"{which}_size", where)
+    columns, rows = (None, None) if size is None else shaped(size, (2,), f"{which}_size", where)
     return Intrinsics(
         matrix,
-        _coefficients(parts.get(f"{which}_distortion"), which, where),
+        coefficients(parts.get(f"{which}_distortion"), which, where),
         None if columns is None or rows is None else (int(columns), int(rows)),
     )
-
-
-def _coefficients(value: Any, which: str, where: str) -> Coefficients:
-    terms = np.zeros(5) if value is None else _numbers(value, f"{which}_distortion", where).ravel()
-    if np.any(terms[5:]):
-        raise FileError(
-            f"{where}: {which}_distortion has {terms.size} terms (rational, thin-prism or tilted model): "
-            "calibrate with k1 k2 p1 p2 k3 alone (OpenCV's default)"
-        )
-    k1, k2, p1, p2, k3 = (float(term) for term in np.resize(np.append(terms[:5], np.zeros(5)), 5))
-    return k1, k2, p1, p2, k3
-
-
-def _rotation(value: Any, where: str) -> NDArray[np.float64]:
-    array = _numbers(value, "rotation", where)
-    if array.size == 3:
-        return np.asarray(cv2.Rodrigues(array.reshape(3))[0], dtype=np.float64)
-    matrix = _shaped(value, (3, 3), "rotation", where)
-    with np.errstate(over="ignore", invalid="ignore"):
-        off = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
-        determinant = float(np.linalg.det(matrix))
-    if not (off <= 1e-4 and determinant > 0):
-        raise FileError(
-            f"{where}: rotation is no rotation (R R^T is off the identity by {off:.3g}, determinant {determinant:.3g})"
-        )
-    return matrix
-
-
-def _shaped(value: Any, shape: Sequence[int], part: str, where: str) -> NDArray[np.float64]:
-    array = _numbers(value, part, where)
-    if array.size != np.prod(shape):
-        raise FileError(
-            f"{where}: {part} has not the shape {tuple(shape)}: it has {array.size} numbers"
-        )
-    return array.reshape(shape)
-
-
-def _numbers(value: Any, part: str, where: str) -> NDArray[np.float64]:
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        raise FileError(f"{where}: {part} is no list of numbers") from None
-    if value is None:
-        raise FileError(f"{where}: {part} is no list of numbers")
-    if not np.isfinite(array).all():
-        raise FileError(f"{where}: {part} has values that are NaN or infinite")
-    return array
 
 
 def write(path: str | Path, calibration: Calibration, projector: int = 0) -> None:
