@@ -20,14 +20,14 @@ def command(app: typer.Typer, example: str) -> Callable[[Function], Function]:
 
     def registered(function: Function) -> Function:
         text = inspect.getdoc(function) or ""
-        told = dict(HELP.findall(text))
+        explained = dict(HELP.findall(text))
         for name, parameter in inspect.signature(function).parameters.items():
             hint = parameter.annotation
             kind, *given = get_args(hint) if get_origin(hint) is Annotated else (hint,)
             info = copy(given[0]) if given else _usual(name, kind, parameter.default)
-            info.help = told.pop(name, info.help)
+            info.help = explained.pop(name, info.help)
             function.__annotations__[name] = Annotated[kind, info]
-        assert not told, f"the docstring of {function.__name__} has {told}"
+        assert not explained, f"the docstring of {function.__name__} has {explained}"
         name = example.split()[1]
         add = app.command(name, help=HELP.sub("", text).strip(), epilog=f"Example: {example}")
         return add(function)
