@@ -57,7 +57,8 @@ from scenes.acquisition.patterns import (
 )
 from scenes.acquisition.sensor import Emva, Sensor, SimpleSensor
 from scenes.board import gerber
-from scenes.board.board import GerberBoard, ParametricBoard
+from scenes.board.board import ParametricBoard
+from scenes.board.gerber.gerber_board import GerberBoard
 from scenes.files.capture import Capture
 from scenes.files.stack import Stack
 from scenes.files.truth_maps import Truth

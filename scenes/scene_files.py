@@ -176,7 +176,11 @@ def _resolve_board(board: dict[str, Any], folder: Path) -> None:
     elif isinstance(board.get("files"), dict):
         files = board["files"]
         board["files"] = {
-            role: str(folder / path) if isinstance(path, str) else path
+            role: [str(folder / p) if isinstance(p, str) else p for p in path]
+            if isinstance(path, list)
+            else str(folder / path)
+            if isinstance(path, str)
+            else path
             for role, path in files.items()
         }
 

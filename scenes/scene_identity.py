@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from scenes.board.board import GerberBoard
+from scenes.board.gerber.gerber_board import GerberBoard
 from scenes.rig.devices import RigDevice
 from scenes.rig.projectors import Emission
 from scenes.scene import Object, Scene
@@ -75,7 +75,8 @@ def _model(model: BaseModel) -> list[Any]:
     """Kind and fields; files by their contents."""
     if isinstance(model, GerberBoard):
         layers = {role: _plain(path) for role, path in model.layer_paths().items()}
-        return [layers, _fields(model, {"folder", "files"})]
+        drilled = [_plain(path) for path in model.drill_paths()]
+        return [layers, *([drilled] if drilled else []), _fields(model, {"folder", "files"})]
     omitted = (
         LIGHT
         if isinstance(model, RigDevice)

@@ -24,6 +24,7 @@ COLOURS = {
     "mask": "#f0d9a8",
     "paste": "#5a5f66",
     "legend": "#ffffff",
+    "drill": "#202020",
 }
 
 
@@ -85,6 +86,11 @@ def check_board(folder: Path, side: gerber.Side = "top") -> BoardCheck:
         if role in paths:
             areas[role] = painted([(item.shape(), item.dark) for item in read(paths[role]).objects])
             layers.append(_compared(role, paths[role], areas[role]))
+    drilled = {path: gerber.read_drills(path) for path in gerber.drill_files(folder)}
+    for path, holes in drilled.items():
+        area = shapely.union_all([hole.outline for hole in holes])
+        areas["drill"] = areas.get("drill", shapely.Polygon()) | area
+        layers.append(_compared("drill", path, area))
     outside: tuple[str, ...] = ()
     if "outline" in paths:
         areas["outline"] = gerber.read_outline(paths["outline"])
@@ -94,7 +100,7 @@ def check_board(folder: Path, side: gerber.Side = "top") -> BoardCheck:
 
 def _compared(role: str, path: Path, area: Area) -> LayerCheck:
     try:
-        second = second_area(path)
+        second = second_area(path, role == "drill")
     except FileError as error:
         return LayerCheck(role, path.name, area.area, None, None, str(error))
     apart = shapely.symmetric_difference(area, second, grid_size=1e-6).area
@@ -104,7 +110,7 @@ def _compared(role: str, path: Path, area: Area) -> LayerCheck:
 def _picture(areas: Mapping[str, Area]) -> Figure:
     figure = Figure(figsize=(9.0, 7.0), layout="constrained")
     axes = figure.subplots()
-    for role in ("outline", "copper", "mask", "legend", "paste"):
+    for role in ("outline", "copper", "mask", "legend", "drill", "paste"):
         if role in areas:
             parts = [p for p in shapely.get_parts(areas[role]) if p.geom_type == "Polygon"]
             rings = [r for p in parts for r in (p.exterior, *p.interiors)]

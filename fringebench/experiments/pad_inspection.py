@@ -23,7 +23,8 @@ from evaluation.scoring.error_budget import RENDER_NOISE
 from fringebench.experiments.cause_budget import CAUSES, RANDOM, has_cause, without_causes
 from fringebench.progress import Steps
 from scenes.acquisition.sensor import without_blur
-from scenes.board.board import Board, BoardRegion
+from scenes.board.board import Board
+from scenes.board.board_settings import BoardRegion
 from scenes.shapes.materials import Diffuse
 from scenes.support.errors import SceneError, ScoreError
 

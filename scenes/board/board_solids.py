@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from scenes.board.board import CONTAMINATION, LEGEND, Board
+from scenes.board.board import Board
+from scenes.board.board_settings import CONTAMINATION, HOLE, LEGEND
 from scenes.board.deposits import PasteBridge, Print
 from scenes.board.printing import printed
 from scenes.board.surface import surfaces
@@ -51,18 +52,20 @@ def bodies(board: Board) -> tuple[Body, ...]:
 
 def _bodies(board: Board, print_: Print) -> Iterable[Body]:
     layers, paste = board.layers, board.paste
-    materials = {
-        "base": layers.laminate_material,
-        "mask": layers.mask_material,
-        "pad": layers.pad_material,
-    } | ({LEGEND: board.legend.material} if board.legend else {})
+    looks = {
+        "base": ("base", layers.laminate_material),
+        "mask": ("mask", layers.mask_material),
+        "pad": ("pad", layers.pad_material),
+        LEGEND: (LEGEND, board.legend.material if board.legend else ""),
+        HOLE: (HOLE, board.holes.material if board.holes else ""),
+        "plated wall": (HOLE, layers.pad_material),
+        "bare wall": (HOLE, layers.laminate_material),
+    }
     x, y = print_.layout.centre_mm
     face_mm = FACE_MM if print_.warp.curvature_per_mm else None
-    for label, surface in surfaces(print_.layout, print_.stackup, face_mm).items():
+    for kind, surface in surfaces(print_.layout, print_.stackup, face_mm).items():
         world = surface.vertices - np.array([x, y, 0.0])
-        yield Body(
-            label, materials[label], world, surface.faces, surface.pad.astype(np.int32), False
-        )
+        yield Body(*looks[kind], world, surface.faces, surface.pad.astype(np.int32), False)
     base = print_.stackup.pad_mm
     fields = [(d.field, _same(d.pad.id, d.field)) for d in print_.deposits if d.field]
     fields += [(d.tail, _same(d.pad.id, d.tail)) for d in print_.deposits if d.tail]

@@ -1,5 +1,6 @@
 """Layers of a board on its laminate: materials, thicknesses, and the heights drawn from them."""
 
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from scenes.support.distribution import Quantity, within
@@ -38,7 +39,8 @@ class Legend(Frozen):
     material: str = "white-paint"
 
 
-class Stackup(Frozen):
+@dataclass(frozen=True)
+class Stackup:
     """A board's drawn heights above the laminate."""
 
     copper_mm: float
@@ -48,3 +50,7 @@ class Stackup(Frozen):
     """Of the mask over laminate; over copper it is `copper_mm` higher."""
     legend_mm: float = 0.0
     """Of the legend above the mask; 0 without one."""
+    dip_mm: float = 0.0
+    """How much lower the mask is over a tented hole."""
+    depth_mm: float = 0.0
+    """Of what an open hole shows, below the laminate's surface."""

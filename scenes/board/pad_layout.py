@@ -36,6 +36,16 @@ class Pad:
 
 
 @dataclass(frozen=True, eq=False)
+class ThroughHole:
+    """A hole or slot through the board."""
+
+    outline: shapely.Polygon
+    plated: bool
+    tented: bool
+    """Closed by solder mask."""
+
+
+@dataclass(frozen=True, eq=False)
 class Layout:
     """Everything printed or etched that the board's surface needs, cut to a box."""
 
@@ -52,6 +62,8 @@ class Layout:
     """Those that the box's edge cuts: not printed."""
     legend: Area = field(default_factory=shapely.Polygon)
     """What the legend's print covers, mask openings not yet left out."""
+    holes: tuple[ThroughHole, ...] = ()
+    """Open ones are left out of copper and legend."""
 
     @property
     def centre_mm(self) -> tuple[float, float]:

@@ -14,9 +14,10 @@ import shapely
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
-from scenes.board.board import Board, GerberBoard
+from scenes.board.board import Board
 from scenes.board.defects import PadDefects, draw_defects
 from scenes.board.deposits import Deposit, Print
+from scenes.board.gerber.gerber_board import GerberBoard
 from scenes.board.layers import Legend
 from scenes.board.pad_layout import Layout, Pad, area_ratio, rounded
 from scenes.board.paste import Form, deposit
@@ -100,9 +101,9 @@ def _stamps(board: Board) -> tuple[tuple[str, int, int], ...]:
     """Name, size and time of every file the layout could depend on."""
     if not isinstance(board, GerberBoard):
         return ()
-    given = [path for path in board.files.model_dump().values() if path]
+    given = [*board.files.model_dump(exclude={"drill"}).values(), *board.files.drill]
     folder = board.folder
-    files = [path if folder is None else folder / path for path in given]
+    files = [path if folder is None else folder / path for path in given if path]
     files += sorted(folder.iterdir()) if folder and folder.is_dir() else []
     return tuple(
         (str(path), path.stat().st_size, path.stat().st_mtime_ns)

@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from scenes.board.board import LEGEND
+from scenes.board.board_settings import HOLE, LEGEND
 from scenes.board.layers import Stackup
 from scenes.board.pad_layout import Layout
 
@@ -19,6 +19,7 @@ Ints = NDArray[np.int64]
 
 # Outlines are noded on this grid (10 nm), which makes their overlay robust.
 GRID_MM = 1e-5
+KINDS = ("base", "mask", "pad", LEGEND, HOLE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,29 +32,48 @@ class BoardSurface:
     """(face,) id of the pad whose opening is printed on the copper it belongs to; 0 for none, or for several."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Faces:
+    """The plane cut into polygons, wound counter-clockwise, each of one kind and height."""
+
+    cut: list[shapely.Polygon]
+    kind: NDArray[np.str_]
+    sides: NDArray[np.str_]
+    """Kind of the walls around it, where it is a hole's."""
+    height: Floats
+    pad: Ints
+
+    def split(self, cut: list[shapely.Polygon], parent: Ints) -> "_Faces":
+        """The same in smaller pieces, each with the face that it was part of."""
+        return _Faces(
+            cut, self.kind[parent], self.sides[parent], self.height[parent], self.pad[parent]
+        )
+
+
 def surfaces(
     layout: Layout, stackup: Stackup, face_mm: float | None = None
 ) -> dict[str, BoardSurface]:
-    """Label -> triangles, with their upright edges: `base` bare laminate, `mask`, `pad` copper free of it, `legend`.
+    """Kind of surface -> triangles, with their upright edges: `base` bare laminate, `mask`, `pad` copper free of it,
+    `legend`, `hole` what an open hole shows, `plated wall` and `bare wall` its sides.
 
     With `face_mm` faces are cut into squares of this size, so that the surface can be bent.
     """
-    faces, kinds, heights, pads = _faces(layout, stackup)
+    faces = _faces(layout, stackup)
     if face_mm is not None:
-        faces, parent = _cut(faces, face_mm)
-        kinds, heights, pads = kinds[parent], heights[parent], pads[parent]
-    walls, wall_of = _walls(faces, heights)
+        faces = faces.split(*_cut(faces.cut, face_mm))
+    walls, wall_of, below = _walls(faces.cut, faces.height)
+    # A wall belongs to the face that it falls from, a hole's to the hole.
+    wall_kind = np.where(faces.kind[below] == HOLE, faces.sides[below], faces.kind[wall_of])
     built = {}
-    for label in ("base", "mask", "pad", LEGEND):
-        chosen = np.flatnonzero(kinds == label)
-        if not len(chosen):
+    for kind in dict.fromkeys((*KINDS, *wall_kind)):
+        chosen, sides = np.flatnonzero(faces.kind == kind), wall_kind == kind
+        if not len(chosen) and not sides.any():
             continue
-        tops = [_flat(faces[i], heights[i]) for i in chosen]
-        of_label = kinds[wall_of] == label
-        corners = np.concatenate([*tops, walls[of_label]])
-        owner = np.concatenate([np.repeat(chosen, [len(top) for top in tops]), wall_of[of_label]])
+        tops = [_flat(faces.cut[i], faces.height[i]) for i in chosen]
+        corners = np.concatenate([*tops, walls[sides]])
+        owner = np.concatenate([np.repeat(chosen, [len(top) for top in tops]), wall_of[sides]])
         vertices, index = _shared(corners)
-        built[label] = BoardSurface(vertices, index, pads[owner])
+        built[str(kind)] = BoardSurface(vertices, index, faces.pad[owner])
     return built
 
 
@@ -66,15 +86,16 @@ def _shared(corners: Floats) -> tuple[Floats, Ints]:
     return flat[first], index.reshape(-1, 3).astype(np.int64)
 
 
-def _faces(
-    layout: Layout, stackup: Stackup
-) -> tuple[list[shapely.Polygon], NDArray[np.str_], Floats, Ints]:
-    """The plane's faces: polygons wound counter-clockwise, label, height, pad id."""
+def _faces(layout: Layout, stackup: Stackup) -> _Faces:
     printed_on = layout.legend.difference(layout.openings) if stackup.legend_mm else None
     areas = [layout.copper, layout.openings, layout.board, printed_on or shapely.Polygon()]
+    areas += [
+        shapely.union_all([hole.outline for hole in layout.holes if of_kind(hole)])
+        for of_kind in (lambda h: h.tented, lambda h: h.plated > h.tented, lambda h: not h.tented)
+    ]
     areas = [shapely.set_precision(area, GRID_MM) for area in areas]
     lines = shapely.union_all([shapely.boundary(area) for area in areas], grid_size=GRID_MM)
-    copper, openings, board, legend = areas
+    copper, openings, board, legend, tented, plated, drilled = areas
     cut = shapely.orient_polygons(shapely.get_parts(shapely.polygonize([lines])))
     inside = shapely.point_on_surface(cut)
     for area in areas:
@@ -82,19 +103,26 @@ def _faces(
     on_board = shapely.intersects(board, inside)
     cut, inside = cut[on_board], inside[on_board]
     metal, bare = shapely.intersects(copper, inside), shapely.intersects(openings, inside)
-    marked = shapely.intersects(legend, inside)
-    kinds = np.select([bare & metal, bare, marked], ["pad", "base", LEGEND], "mask")
+    marked, deep = shapely.intersects(legend, inside), shapely.intersects(drilled, inside)
+    kinds = np.select([deep, bare & metal, bare, marked], [HOLE, "pad", "base", LEGEND], "mask")
+    sides = np.where(shapely.intersects(plated, inside), "plated wall", "bare wall")
     covered = stackup.mask_mm + stackup.copper_mm * metal + stackup.legend_mm * marked
-    heights = np.select([bare & metal, bare], [stackup.pad_mm, 0.0], covered)
+    covered = covered - stackup.dip_mm * shapely.intersects(tented, inside)
+    heights = np.select(
+        [deep, bare & metal, bare], [-stackup.depth_mm, stackup.pad_mm, 0.0], covered
+    )
     owner = np.zeros(len(cut), dtype=np.int64)
     if layout.pads:
         middles = np.array([pad.outline.point_on_surface() for pad in layout.pads])
+        for i in np.flatnonzero(shapely.intersects(drilled, middles)):
+            # A via is in the pad's middle.
+            middles[i] = layout.pads[i].outline.difference(drilled).point_on_surface()
         face, pad = shapely.STRtree(middles).query(cut, predicate="intersects")
         for f in np.unique(face):
             printed = pad[face == f]
             if kinds[f] == "pad" and len(printed) == 1:
                 owner[f] = layout.pads[int(printed[0])].id
-    return list(cut), kinds, heights.astype(np.float64), owner
+    return _Faces(list(cut), kinds, sides, heights.astype(np.float64), owner)
 
 
 def _cut(faces: list[shapely.Polygon], size_mm: float) -> tuple[list[shapely.Polygon], Ints]:
@@ -119,8 +147,8 @@ def _flat(polygon: shapely.Polygon, height_mm: float) -> Floats:
     return np.concatenate([xy, np.full((*xy.shape[:2], 1), height_mm)], axis=-1)
 
 
-def _walls(faces: list[shapely.Polygon], heights: Floats) -> tuple[Floats, Ints]:
-    """(triangle, 3, 3) of the walls from each face down to its lower neighbours, and (triangle,) the face.
+def _walls(faces: list[shapely.Polygon], heights: Floats) -> tuple[Floats, Ints, Ints]:
+    """(triangle, 3, 3) of the walls from each face down to its lower neighbours, (triangle,) the face, the neighbour.
 
     The board's own rim stays open.
     """
@@ -148,4 +176,5 @@ def _walls(faces: list[shapely.Polygon], heights: Floats) -> tuple[Floats, Ints]
     lower_a, lower_b = (np.column_stack([p[upright], low[upright]]) for p in (start, end))
     first = np.stack([upper_a, lower_a, lower_b], axis=1)
     second = np.stack([upper_a, lower_b, upper_b], axis=1)
-    return np.concatenate([first, second]), np.tile(face_of[upright], 2)
+    beyond = face_of[order][place][upright]
+    return np.concatenate([first, second]), np.tile(face_of[upright], 2), np.tile(beyond, 2)

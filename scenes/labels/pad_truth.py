@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from scenes.board.defects import DefectClass
 from scenes.board.deposits import Deposit, Print
+from scenes.board.pad_layout import ThroughHole
 from scenes.board.printing import printed
 from scenes.scene import Scene
 from scenes.support.atomic_file import replacing
@@ -64,6 +65,20 @@ class BridgeTruth(Frozen):
     """Of the part between the deposits."""
 
 
+class HoleTruth(Frozen):
+    """A hole or slot, world mm."""
+
+    x_mm: float
+    """Centroid."""
+    y_mm: float
+    area_mm2: float
+    size_mm: Range
+    """Width and height of its bounds."""
+    plated: bool
+    tented: bool
+    """Closed by solder mask, and so without the label `hole`."""
+
+
 class BoardTruth(Frozen):
     """All pads of a scene's region."""
 
@@ -81,6 +96,8 @@ class BoardTruth(Frozen):
     bridges: tuple[BridgeTruth, ...]
     cut: tuple[int, ...] = ()
     """Ids of pads that the region's edge cuts: not printed, to be ignored."""
+    holes: tuple[HoleTruth, ...] = ()
+    """Those in or partly in the region."""
 
     def write(self, path: str | Path) -> None:
         """Write as JSON, atomically."""
@@ -154,6 +171,20 @@ def truth_of(print_: Print) -> BoardTruth:
         pads=pads,
         bridges=bridges,
         cut=tuple(pad.id for pad in print_.layout.cut),
+        holes=tuple(_hole(hole, print_.layout.centre_mm) for hole in print_.layout.holes),
+    )
+
+
+def _hole(hole: ThroughHole, origin_mm: Range) -> HoleTruth:
+    shape = hole.outline
+    x0, y0, x1, y1 = shape.bounds
+    return HoleTruth(
+        x_mm=shape.centroid.x - origin_mm[0],
+        y_mm=shape.centroid.y - origin_mm[1],
+        area_mm2=shape.area,
+        size_mm=(x1 - x0, y1 - y0),
+        plated=hole.plated,
+        tented=hole.tented,
     )
 
 

@@ -33,6 +33,30 @@ SMALL = {
     "patterns.periods_px": [16.0],
     "exposures.relative": [1.0, 3.0],
 }
+DRILL = """\
+M48
+; #@! TF.FileFunction,MixedPlating,1,2
+METRIC,TZ,000.000
+;TYPE=PLATED
+T1C0.300
+;TYPE=NON_PLATED
+T2C1.100
+%
+G90
+G05
+T1
+X1500Y-2250
+R3X500
+X9000Y1000G85X9500Y1500
+T2
+G00X1.0Y1.0
+M15
+G01X3.0
+G02X4.0Y2.0A1.0
+M16
+G05
+M30
+"""
 GERBER = """\
 G04 #@! TF.FileFunction,Paste,Top*
 %FSLAX46Y46*%
@@ -187,6 +211,10 @@ def _gerber(path: Path) -> object:
     )
 
 
+def _drill(path: Path) -> object:
+    return gerber.read_drills(path), gerber.read_drills(path, mirrored=True)
+
+
 def _calibration(path: Path) -> object:
     return Source(files=(path,), distance_mm=100.0).calibration((12, 9), (64, 48))
 
@@ -289,6 +317,7 @@ TARGETS: dict[str, Target] = {
     "scene": Target(".toml", _scene, _scene_texts),
     "manifest": Target(".toml", _manifest_folder, lambda: (MANIFEST.encode(),)),
     "gerber": Target(".gbr", _gerber, lambda: (GERBER.encode(),)),
+    "drill": Target(".drl", _drill, lambda: (DRILL.encode(),)),
     "calibration-yaml": Target(".yml", _calibration, lambda: files(_opencv, ".yml")),
     "calibration-xml": Target(".xml", _calibration, lambda: files(_opencv, ".xml")),
     "calibration-json": Target(".json", _calibration, lambda: files(_json, ".json")),

@@ -5,8 +5,19 @@ write. What it does not know it refuses, so that no pad is lost without a messag
 area.
 """
 
+from scenes.board.gerber.drill_layers import drill_files, read_drills
 from scenes.board.gerber.layer_names import ROLES, Role, Side, layer_files
 from scenes.board.gerber.openings import read_area, read_pads
 from scenes.board.gerber.profile import read_outline
 
-__all__ = ["ROLES", "Role", "Side", "layer_files", "read_area", "read_outline", "read_pads"]
+__all__ = [
+    "ROLES",
+    "Role",
+    "Side",
+    "drill_files",
+    "layer_files",
+    "read_area",
+    "read_drills",
+    "read_outline",
+    "read_pads",
+]

@@ -15,10 +15,10 @@ from scenes.support.errors import FileError
 CORNERS = 256
 
 
-def second_area(path: Path) -> Area:
-    """The painted area in mm as gerbonara reads it; `FileError` where it cannot, or is not installed."""
+def second_area(path: Path, drill: bool = False) -> Area:
+    """The painted, or drilled, area in mm as gerbonara reads it; `FileError` where it cannot, or is not installed."""
     try:
-        from gerbonara import GerberFile
+        from gerbonara import ExcellonFile, GerberFile
         from gerbonara.utils import MM
     except ImportError as error:
         raise FileError(
@@ -27,7 +27,7 @@ def second_area(path: Path) -> Area:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            objects = GerberFile.open(path).objects
+            objects = (ExcellonFile if drill else GerberFile).open(path).objects
             pieces = [p for item in objects for p in item.to_primitives(unit=MM)]
         return painted([(_shape(p), bool(p.polarity_dark)) for p in pieces])
     except Exception as error:  # of any kind: it is another program's

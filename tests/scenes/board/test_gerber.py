@@ -11,7 +11,7 @@ import shapely
 
 import scenes
 from scenes.board import gerber
-from scenes.board.board import GerberBoard
+from scenes.board.gerber.gerber_board import GerberBoard
 from scenes.board.printing import artwork, printed
 from scenes.board.surface import surfaces
 from scenes.labels.pad_truth import truth_of

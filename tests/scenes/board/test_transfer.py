@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 import scenes
-from scenes.board.board import GerberBoard, ParametricBoard
+from scenes.board.board import ParametricBoard
+from scenes.board.gerber.gerber_board import GerberBoard
 from scenes.board.printing import printed
 from scenes.support.errors import ImpossibleError, SceneError
 

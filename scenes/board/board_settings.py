@@ -1,0 +1,149 @@
+"""What every kind of board has: region, layers, paste, defects, and its random numbers."""
+
+from collections.abc import Sequence
+from typing import Annotated, Self
+
+import numpy as np
+import shapely
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
+
+from scenes.board.defects import Defects
+from scenes.board.extras.holes import Holes
+from scenes.board.layers import Layers, Legend, Stackup
+from scenes.board.pad_layout import Bounds, Pad
+from scenes.board.paste import Paste
+from scenes.board.warp import Warp, WarpedPlane
+from scenes.support.distribution import draw
+from scenes.support.errors import SceneError
+from scenes.support.frozen import Frozen
+
+# Labels of a board's surfaces, in order; the others only where they may occur.
+LABELS = ("base", "mask", "pad", "paste")
+CONTAMINATION = "contamination"
+LEGEND = "legend"
+HOLE = "hole"
+
+# Streams of random numbers of a drawn region and of the warp; 0 is the layers, 1 to 3 and 5 are the print.
+REGION, WARP = 4, 6
+
+
+class BoardRegion(Frozen):
+    """A rectangle of the board, in board coordinates."""
+
+    centre_mm: tuple[float, float] | None = None
+    """Absent: drawn from the board's seed, so that each sample shows another part of the board."""
+    size_mm: tuple[PositiveFloat, PositiveFloat]
+
+    def box(self, pads: Sequence[Pad], board: Bounds, rng: np.random.Generator) -> Bounds:
+        """x and y from, x and y to; a drawn one contains one or more pads and stays on the board where it fits."""
+        if self.centre_mm is not None:
+            return _box_about(self.centre_mm, self.size_mm)
+        for i in rng.permutation(len(pads)):
+            x0, y0, x1, y1 = pads[i].outline.bounds
+            centre = []
+            for pad, ends, size in (
+                ((x0, x1), (board[0], board[2]), self.size_mm[0]),
+                ((y0, y1), (board[1], board[3]), self.size_mm[1]),
+            ):
+                # Both the pad and, unless the board is smaller, the board's edge bound the centre.
+                low, high = pad[1] - size / 2, pad[0] + size / 2
+                if size < ends[1] - ends[0]:
+                    low, high = max(low, ends[0] + size / 2), min(high, ends[1] - size / 2)
+                centre.append(float(rng.uniform(low, high)) if low <= high else None)
+            x, y = centre
+            if x is not None and y is not None:
+                return _box_about((x, y), self.size_mm)
+        raise SceneError(
+            f"board.region of {list(self.size_mm)} mm holds none of the {len(pads)} pads: make it larger"
+        )
+
+
+class BoardBase(Frozen):
+    """Settings of every kind of board. The middle of the region is at the world's origin, the laminate at z = 0."""
+
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    """Decides every draw; `scenes.realise` sets it for a sample."""
+    region: BoardRegion | None = None
+    """Part of the board to build; absent: the whole, or the surroundings of `pads`."""
+    pads: tuple[PositiveInt, ...] = ()
+    """Numbers of pads whose surroundings are the region."""
+    margin_mm: NonNegativeFloat = 1.0
+    """Board left around `pads`."""
+    layers: Layers = Layers()
+    legend: Legend | None = None
+    """Absent: none is printed."""
+    holes: Holes | None = None
+    """Absent: the board has none, whatever its drill files say."""
+    warp: Warp = Warp()
+    paste: Paste = Paste()
+    defects: Defects = Defects()
+
+    @model_validator(mode="after")
+    def _one_region(self) -> Self:
+        if self.region is not None and self.pads:
+            raise ValueError("give either region or pads")
+        return self
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels of its surfaces."""
+        contaminated = self.defects.contamination.probability > 0
+        others = (
+            (LEGEND, self.legend is not None),
+            (CONTAMINATION, contaminated),
+            (HOLE, self.holes is not None),
+        )
+        return (*LABELS, *(label for label, there in others if there))
+
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """Names of the materials it is made of."""
+        layers = self.layers
+        return (
+            layers.laminate_material,
+            layers.mask_material,
+            layers.pad_material,
+            self.paste.material,
+            self.defects.contamination.material,
+            *(part.material for part in (self.legend, self.holes) if part),
+        )
+
+    def generator(self, *key: int) -> np.random.Generator:
+        """Independent random numbers of one item of the board, the same in any order of drawing."""
+        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
+
+    def stackup(self) -> Stackup:
+        """The drawn layer heights."""
+        rng, layers = self.generator(0), self.layers
+        copper, finish, mask = (
+            draw(q, rng) for q in (layers.copper_mm, layers.finish_mm, layers.mask_mm)
+        )
+        legend = draw(self.legend.height_mm, rng) if self.legend else 0.0
+        dip = draw(self.holes.dip_mm, rng) if self.holes else 0.0
+        depth = self.holes.depth_mm if self.holes else 0.0
+        return Stackup(copper, copper + finish, mask, legend, dip, depth)
+
+    def warped_plane(self) -> WarpedPlane:
+        """The drawn tilt and bow, world coordinates."""
+        return self.warp.drawn(self.generator(WARP))
+
+    def box_around(self, pads: tuple[Pad, ...], board: Bounds) -> Bounds | None:
+        """The region's box, None for the whole board; `SceneError` for a pad the board lacks."""
+        if self.region is not None:
+            return self.region.box(pads, board, self.generator(REGION))
+        if not self.pads:
+            return None
+        known = {pad.id: pad for pad in pads}
+        for number in self.pads:
+            if number not in known:
+                raise SceneError(
+                    f"board.pads: pad {number} does not exist; the board has 1 to {len(pads)}"
+                )
+        around = shapely.union_all([known[number].outline for number in self.pads])
+        x0, y0, x1, y1 = around.buffer(self.margin_mm, join_style="mitre").bounds
+        return x0, y0, x1, y1
+
+
+def _box_about(centre_mm: tuple[float, float], size_mm: tuple[float, float]) -> Bounds:
+    (x, y), (width, height) = centre_mm, size_mm
+    return x - width / 2, y - height / 2, x + width / 2, y + height / 2

@@ -1,0 +1,1 @@
+"""What a board has besides its printed pads: holes."""
