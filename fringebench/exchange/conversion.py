@@ -14,7 +14,7 @@ from evaluation import write_cloud
 from evaluation.output.cloud import normals, triangles
 from evaluation.output.height_image import write_height_image
 from scenes.files.exr import kind_of
-from scenes.shapes.materials import Conductor, Dielectric, Diffuse, Glossy, Material
+from scenes.shapes.materials import Conductor, Dielectric, Diffuse, Glossy, Material, Printed
 from scenes.support.atomic_file import replacing
 from scenes.support.errors import FileError, ScoreError
 
@@ -125,6 +125,7 @@ def _look(material: Material) -> PBRMaterial:
     """A glTF material: gray, since materials are known at one wavelength only."""
     looks: dict[type[Any], Callable[[Any], tuple[float, float, float, float]]] = {
         Diffuse: lambda m: (m.reflectance, 1.0, 0.0, 1.0),
+        Printed: lambda m: ((m.dark + m.bright) / 2.0, 1.0, 0.0, 1.0),
         Glossy: lambda m: (m.reflectance, m.roughness, 0.0, 1.0),
         Conductor: lambda m: (_mirror(m.eta, m.k), m.roughness, 1.0, 1.0),
         Dielectric: lambda m: (1.0, m.roughness, 0.0, 0.3),

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -132,9 +133,43 @@ def test_gltf_scene_is_in_metres_with_y_up_and_labelled(tmp_path: Path) -> None:
     assert high[1] == pytest.approx(0.0025, rel=1e-4)
     names = {node.split("-", 1)[1] for node in drawn.graph.nodes_geometry}
     assert names == {"base", "cap", "step", "ink", "solder"}
-    looks = {n.split("-", 1)[1]: g.visual.material for n, g in drawn.geometry.items()}
-    assert looks["solder"].metallicFactor == 1.0
-    assert looks["base"].metallicFactor == 0.0
+
+
+@pytest.mark.parametrize(
+    ("material", "gray", "alpha", "roughness", "metallic"),
+    [
+        ({"kind": "diffuse", "reflectance": 0.3}, 0.3, 1.0, 1.0, 0.0),
+        # As many grains are dark as are bright.
+        ({"kind": "printed", "dark": 0.1, "bright": 0.6}, 0.35, 1.0, 1.0, 0.0),
+        ({"kind": "glossy", "reflectance": 0.2, "roughness": 0.16}, 0.2, 1.0, 0.4, 0.0),
+        # At normal incidence a metal of the index n reflects |(n - 1) / (n + 1)|^2.
+        (
+            {"kind": "conductor", "eta": 0.6, "k": 2.8, "roughness": 0.09},
+            abs((0.6 + 2.8j - 1.0) / (0.6 + 2.8j + 1.0)) ** 2,
+            1.0,
+            0.3,
+            1.0,
+        ),
+        ({"kind": "dielectric", "roughness": 0.25}, 1.0, 0.3, 0.5, 0.0),
+    ],
+)
+def test_gltf_material_looks_like_the_scene_s(
+    tmp_path: Path,
+    material: dict[str, Any],
+    gray: float,
+    alpha: float,
+    roughness: float,
+    metallic: float,
+) -> None:
+    """In glTF the roughness that a picture shows, GGX's, is a material's number squared."""
+    own = {"materials": {"own": material}, "objects.1.material": "own"}
+    convert("bench", tmp_path / "bench.glb", overrides=own)
+    drawn = trimesh.load(tmp_path / "bench.glb")
+    (look,) = (g.visual.material for n, g in drawn.geometry.items() if n.endswith("-cap"))
+    # Colours are bytes.
+    np.testing.assert_allclose(look.baseColorFactor / 255.0, [gray] * 3 + [alpha], atol=0.5 / 255)
+    assert (look.roughnessFactor, look.metallicFactor) == pytest.approx((roughness, metallic))
+    assert look.alphaMode == ("OPAQUE" if alpha == 1.0 else "BLEND")
 
 
 @pytest.mark.parametrize(
