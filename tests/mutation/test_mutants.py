@@ -5,9 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.mutation.__main__ import MODULES, ROOT, covering, modules, unrecorded
+from tests.mutation.__main__ import MODULES, modules
 from tests.mutation.mutants import mutants
 from tests.mutation.recorder import ordered
+from tests.mutation.trials import ROOT, covering, unrecorded
 
 SOURCE = '''
 """A docstring with 2 numbers and a + b."""
