@@ -10,6 +10,7 @@ from scenes.files.stack import Stack
 from scenes.support.errors import ScoreError
 
 # FIELD's table: unit contrast, RMS over all phases in rad, by ratio and number of steps; measured independently.
+STEPS = (3, 4, 5, 6, 8, 12)
 TABLE = {
     1.10: (0.0165, 0.0140, 0.0123, 0.0105, 0.0042, 0.0023),
     1.25: (0.0715, 0.0557, 0.0308, 0.0086, 0.0114, 0.0046),
@@ -20,8 +21,12 @@ TABLE = {
 
 def test_table_of_clipped_fringes_is_reproduced() -> None:
     found = saturation_bias()
-    assert found.rms_rad.shape == (4, 6)
+    assert (found.ratios, found.steps) == (tuple(TABLE), STEPS)
     np.testing.assert_allclose(found.rms_rad, list(TABLE.values()), atol=1e-3)
+    # All around the circle, as far apart across half a turn as elsewhere.
+    around = np.append(found.phase_rad, found.phase_rad[0] + 2 * np.pi)
+    np.testing.assert_allclose(np.diff(around), 2 * np.pi / found.phase_rad.size, rtol=1e-9)
+    np.testing.assert_allclose(found.phase_rad, -found.phase_rad[::-1], atol=1e-12)
 
 
 def test_bias_vanishes_exactly_where_even_steps_clip_at_the_mean() -> None:
@@ -122,9 +127,15 @@ def test_noise_adds_its_own_variance_and_leaves_the_ripple() -> None:
         ({"ratios": []}, "ratios"),
         ({"ratios": [1.0, 0.0]}, "ratios"),
         ({"steps": [4, 2]}, "steps"),
+        ({"steps": []}, "steps"),
         ({"contrast": 1.5}, "contrast"),
+        ({"contrast": 0.0}, "contrast"),
         ({"noise": -1.0}, "noise"),
         ({"relative": [1.0, 0.0]}, "relative"),
+        ({"relative": []}, "relative"),
+        ({"phases": 7}, "phases"),
+        ({"repeats": 0}, "repeats"),
+        ({"seed": -1}, "seed"),
         ({"decoder": lambda stack: "phase"}, "answer"),
         ({"decoder": lambda stack: np.zeros(3)}, "shape"),
     ],
@@ -132,6 +143,11 @@ def test_noise_adds_its_own_variance_and_leaves_the_ripple() -> None:
 def test_impossible_parameters_are_named(wrong: dict[str, Any], named: str) -> None:
     with pytest.raises(ScoreError, match=named):
         saturation_bias(**{"steps": [4], **wrong})
+
+
+def test_parameters_at_their_limits_are_possible() -> None:
+    least = saturation_bias(ratios=[0.5], steps=[3], noise=1e-3, phases=8, repeats=1, seed=0)
+    assert np.isfinite(least.rms_rad).all()
 
 
 def test_noisy_samples_are_clipped_too() -> None:

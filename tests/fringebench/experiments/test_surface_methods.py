@@ -5,10 +5,12 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import fringebench as fb
-from fringebench.experiments.surface_methods import METHODS, SURFACES, Cell, MethodMap
+import scenes
+from fringebench.experiments.surface_methods import METHODS, SURFACES, Cell, MethodMap, map_scene
 from fringebench.pages.method_map_page import map_rows
 from scenes.support.errors import ScoreError
 
@@ -35,6 +37,35 @@ def test_command_writes_cells_with_reasons_figure_and_page(
     assert json.loads(Path("out/methods.json").read_text())["cells"] == [matt, mirror]
     assert "no-image" in Path("out/report.html").read_text()
     assert Path("out/methods.png").stat().st_size > 0
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("surface", SURFACES)
+def test_all_devices_look_at_the_middle_of_the_object_and_see_it_whole(
+    method: str, surface: str
+) -> None:
+    scene = map_scene(method, surface, (64, 48), 4)
+    rig = scene.calibration()
+    (thing,) = (part.mesh for part in scenes.parts(scene) if part.label == "object")
+    devices = [rig.camera, *rig.projectors, *([rig.second_camera] if rig.second_camera else [])]
+    for device in (one.projection() for one in devices):
+        middle = device.project(np.zeros((1, 3)))[0][0]
+        np.testing.assert_allclose(middle, np.array([device.width, device.height]) / 2, atol=1e-6)
+        seen = device.project(np.asarray(thing.vertices))[0]
+        assert ((seen > 0) & (seen < (device.width, device.height))).all()
+    if rig.second_camera:
+        eyes = [one.projection() for one in (rig.camera, rig.second_camera)]
+        assert len({(eye.width, eye.height, eye.fx, eye.fy) for eye in eyes}) == 1
+
+
+def test_random_dots_are_two_and_a_half_camera_pixels_wide() -> None:
+    scene = map_scene("active-stereo", "matt", (320, 240), 4)
+    rig = scene.calibration()
+    camera, light = rig.camera.projection(), rig.projectors[0].projection()
+    assert isinstance(scene.patterns, scenes.RandomDots)
+    # Both stand 300 mm away, within some per mille.
+    dot_mm = scene.patterns.dot_px / light.fx * np.linalg.norm(light.origin_mm)
+    assert dot_mm * camera.fx / np.linalg.norm(camera.origin_mm) == pytest.approx(2.5, rel=0.01)
 
 
 def test_unknown_names_are_refused_with_the_nearest() -> None:

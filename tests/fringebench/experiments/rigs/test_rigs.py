@@ -172,18 +172,26 @@ def test_poses_are_fully_visible_to_both_devices_and_differ() -> None:
     tilts = np.array([pose.rotation_deg[:2] for pose in found])
     assert (tilts.max(axis=0) > 8.0).all()
     assert (tilts.min(axis=0) < -8.0).all()
+    # Of 12 numbers spread evenly, all fall into some half of the range once in 200 draws.
+    reach = 0.35 * chart.size_mm[0]
+    heights = np.array([pose.position_mm[2] for pose in found])
+    assert np.abs(heights).max() <= reach < np.ptp(heights)
 
 
+@pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("kind", ["checkerboard", "charuco"])
-def test_opencv_finds_the_corners_of_the_chart(kind: str) -> None:
+def test_opencv_finds_the_corners_of_the_chart(kind: str, turned: bool) -> None:
+    """The first corner of a checkerboard is the upper left one, of the picture if that is upside down; ChArUco's are known."""
     chart = Chart(kind, 8.0)  # type: ignore[arg-type]
     rows = np.array([[255 if cell == "." else 20 for cell in row] for row in chart.rows])
     scale = 60 if kind == "checkerboard" else 8
     image = np.kron(rows, np.ones((scale, scale))).astype(np.uint8)
-    found = chart.find(image)
+    found = chart.find(np.rot90(image, 2).copy() if turned else image)
     assert found is not None
     pixels, ids = found
     assert len(ids) == 54
+    if turned and kind == "charuco":
+        pixels = np.array([image.shape[1], image.shape[0]]) - 1 - pixels
     # OpenCV counts centres as whole numbers: an edge between pixels k - 1 and k is at k - 0.5
     per_mm = image.shape[1] / chart.size_mm[0]
     wanted = chart.corners_mm[ids][:, :2] * (1, -1) * per_mm
@@ -196,11 +204,16 @@ def test_opencv_finds_the_corners_of_the_chart(kind: str) -> None:
 def test_virtual_calibration_recovers_the_rendered_rig(kind: str) -> None:
     result = calibrate(wide(), kind, 14, seed=1)  # type: ignore[arg-type]
     rows = {name: difference for name, _, _, difference in result.rows()}
+    for name, rendered, found, difference in result.rows():
+        relative = name.partition(".")[2] in ("fx_px", "fy_px") or name == "baseline_mm"
+        assert difference == pytest.approx((found - rendered) / (rendered if relative else 1.0))
     assert result.views >= 12
     for name in ("camera.fx_px", "camera.fy_px", "projector.fx_px", "projector.fy_px"):
         assert abs(rows[name]) < 1e-3, name
     assert abs(rows["baseline_mm"]) < 1e-3
     assert abs(rows["rotation_deg"]) < 0.05
+    # The found rig differs by its poses, a thousandth of the distance.
+    np.testing.assert_allclose(result.found.height_range_mm, result.true.height_range_mm, atol=0.3)
     # OpenCV's RMS counts points, not coordinates; 12 or so parameters on some 700 corners take next to nothing away
     camera, projector = result.corner_noise_px
     assert result.camera_rms_px == pytest.approx(np.sqrt(2.0) * camera, rel=0.15)
