@@ -7,6 +7,7 @@ from pydantic import Field, PositiveFloat, model_validator
 from scenes.board import component_packages
 from scenes.board.board_settings import BoardBase
 from scenes.board.component_packages import Component
+from scenes.board.extras.fiducials import with_drawn
 from scenes.board.extras.holes import with_holes
 from scenes.board.gerber.gerber_board import GerberBoard
 from scenes.board.pad_layout import Layout
@@ -38,6 +39,8 @@ class ParametricBoard(BoardBase):
         whole = component_packages.layout(*arguments, None)
         box = self.box_around(whole.pads, whole.box)
         layout = whole if box is None else component_packages.layout(*arguments, box)
+        if self.fiducials is not None:
+            layout = with_drawn(layout, self.fiducials)
         if self.holes is None:
             return layout
         return with_holes(layout, (), self.holes, self.mask_clearance_mm, whole.board)

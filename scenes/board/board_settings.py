@@ -8,6 +8,7 @@ import shapely
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
 
 from scenes.board.defects import Defects
+from scenes.board.extras.fiducials import Fiducials
 from scenes.board.extras.holes import Holes
 from scenes.board.layers import Layers, Legend, Stackup
 from scenes.board.pad_layout import Bounds, Pad
@@ -22,6 +23,7 @@ LABELS = ("base", "mask", "pad", "paste")
 CONTAMINATION = "contamination"
 LEGEND = "legend"
 HOLE = "hole"
+FIDUCIAL = "fiducial"
 
 # Streams of random numbers of a drawn region and of the warp; 0 is the layers, 1 to 3 and 5 are the print.
 REGION, WARP = 4, 6
@@ -74,6 +76,8 @@ class BoardBase(Frozen):
     """Absent: none is printed."""
     holes: Holes | None = None
     """Absent: the board has none, whatever its drill files say."""
+    fiducials: Fiducials | None = None
+    """Absent: fiducials have the label `pad`."""
     warp: Warp = Warp()
     paste: Paste = Paste()
     defects: Defects = Defects()
@@ -92,6 +96,7 @@ class BoardBase(Frozen):
             (LEGEND, self.legend is not None),
             (CONTAMINATION, contaminated),
             (HOLE, self.holes is not None),
+            (FIDUCIAL, self.fiducials is not None),
         )
         return (*LABELS, *(label for label, there in others if there))
 

@@ -64,6 +64,8 @@ class Layout:
     """What the legend's print covers, mask openings not yet left out."""
     holes: tuple[ThroughHole, ...] = ()
     """Open ones are left out of copper and legend."""
+    fiducials: tuple[shapely.Polygon, ...] = ()
+    """Copper of those wholly inside the box."""
 
     @property
     def centre_mm(self) -> tuple[float, float]:

@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from scenes.board.board_settings import HOLE, LEGEND
+from scenes.board.board_settings import FIDUCIAL, HOLE, LEGEND
 from scenes.board.layers import Stackup
 from scenes.board.pad_layout import Layout
 
@@ -19,7 +19,7 @@ Ints = NDArray[np.int64]
 
 # Outlines are noded on this grid (10 nm), which makes their overlay robust.
 GRID_MM = 1e-5
-KINDS = ("base", "mask", "pad", LEGEND, HOLE)
+KINDS = ("base", "mask", "pad", LEGEND, HOLE, FIDUCIAL)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ def surfaces(
     layout: Layout, stackup: Stackup, face_mm: float | None = None
 ) -> dict[str, BoardSurface]:
     """Kind of surface -> triangles, with their upright edges: `base` bare laminate, `mask`, `pad` copper free of it,
-    `legend`, `hole` what an open hole shows, `plated wall` and `bare wall` its sides.
+    `legend`, `fiducial`, `hole` what an open hole shows, `plated wall` and `bare wall` its sides.
 
     With `face_mm` faces are cut into squares of this size, so that the surface can be bent.
     """
@@ -93,9 +93,12 @@ def _faces(layout: Layout, stackup: Stackup) -> _Faces:
         shapely.union_all([hole.outline for hole in layout.holes if of_kind(hole)])
         for of_kind in (lambda h: h.tented, lambda h: h.plated > h.tented, lambda h: not h.tented)
     ]
-    areas = [shapely.set_precision(area, GRID_MM) for area in areas]
+    areas = [
+        shapely.set_precision(area, GRID_MM)
+        for area in (*areas, shapely.union_all(layout.fiducials))
+    ]
     lines = shapely.union_all([shapely.boundary(area) for area in areas], grid_size=GRID_MM)
-    copper, openings, board, legend, tented, plated, drilled = areas
+    copper, openings, board, legend, tented, plated, drilled, marks = areas
     cut = shapely.orient_polygons(shapely.get_parts(shapely.polygonize([lines])))
     inside = shapely.point_on_surface(cut)
     for area in areas:
@@ -104,7 +107,12 @@ def _faces(layout: Layout, stackup: Stackup) -> _Faces:
     cut, inside = cut[on_board], inside[on_board]
     metal, bare = shapely.intersects(copper, inside), shapely.intersects(openings, inside)
     marked, deep = shapely.intersects(legend, inside), shapely.intersects(drilled, inside)
-    kinds = np.select([deep, bare & metal, bare, marked], [HOLE, "pad", "base", LEGEND], "mask")
+    fiducial = bare & metal & shapely.intersects(marks, inside)
+    kinds = np.select(
+        [deep, fiducial, bare & metal, bare, marked],
+        [HOLE, FIDUCIAL, "pad", "base", LEGEND],
+        "mask",
+    )
     sides = np.where(shapely.intersects(plated, inside), "plated wall", "bare wall")
     covered = stackup.mask_mm + stackup.copper_mm * metal + stackup.legend_mm * marked
     covered = covered - stackup.dip_mm * shapely.intersects(tented, inside)

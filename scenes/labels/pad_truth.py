@@ -7,6 +7,7 @@ Paste of a bridge or a smear is counted separately from its deposits.
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
 from pydantic import ValidationError
 
 from scenes.board.defects import DefectClass
@@ -79,6 +80,16 @@ class HoleTruth(Frozen):
     """Closed by solder mask, and so without the label `hole`."""
 
 
+class FiducialTruth(Frozen):
+    """A fiducial's bare copper, world mm."""
+
+    x_mm: float
+    """Centroid."""
+    y_mm: float
+    diameter_mm: float
+    """Of the circle of its area."""
+
+
 class BoardTruth(Frozen):
     """All pads of a scene's region."""
 
@@ -98,6 +109,8 @@ class BoardTruth(Frozen):
     """Ids of pads that the region's edge cuts: not printed, to be ignored."""
     holes: tuple[HoleTruth, ...] = ()
     """Those in or partly in the region."""
+    fiducials: tuple[FiducialTruth, ...] = ()
+    """Those wholly in the region, where the artwork has them: the print's registration errors are relative to them."""
 
     def write(self, path: str | Path) -> None:
         """Write as JSON, atomically."""
@@ -172,6 +185,14 @@ def truth_of(print_: Print) -> BoardTruth:
         bridges=bridges,
         cut=tuple(pad.id for pad in print_.layout.cut),
         holes=tuple(_hole(hole, print_.layout.centre_mm) for hole in print_.layout.holes),
+        fiducials=tuple(
+            FiducialTruth(
+                x_mm=copper.centroid.x - print_.layout.centre_mm[0],
+                y_mm=copper.centroid.y - print_.layout.centre_mm[1],
+                diameter_mm=2.0 * float(np.sqrt(copper.area / np.pi)),
+            )
+            for copper in print_.layout.fiducials
+        ),
     )
 
 

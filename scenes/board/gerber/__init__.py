@@ -7,7 +7,7 @@ area.
 
 from scenes.board.gerber.drill_layers import drill_files, read_drills
 from scenes.board.gerber.layer_names import ROLES, Role, Side, layer_files
-from scenes.board.gerber.openings import read_area, read_pads
+from scenes.board.gerber.openings import read_area, read_fiducials, read_pads
 from scenes.board.gerber.profile import read_outline
 
 __all__ = [
@@ -18,6 +18,7 @@ __all__ = [
     "layer_files",
     "read_area",
     "read_drills",
+    "read_fiducials",
     "read_outline",
     "read_pads",
 ]

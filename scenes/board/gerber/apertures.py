@@ -28,6 +28,8 @@ class Painted:
     """Where an aperture is flashed; None for strokes and regions."""
     paths: Callable[[], Sequence[Floats]] = tuple
     """(point, 2) centre lines of a stroke, or contours of a region."""
+    function: str = ""
+    """Of the aperture that is flashed, by its X2 attribute ``.AperFunction``."""
 
     def moved(self, turn: Floats, by: Point, flip: bool = False) -> "Painted":
         """Transformed by a (2, 2) matrix and a shift, its polarity reversed if `flip`."""
@@ -44,6 +46,7 @@ class Painted:
             lambda: shapely.transform(self.shape(), lambda xy: xy @ turn.T + by),
             place,
             lambda: [path @ turn.T + by for path in self.paths()],
+            self.function,
         )
 
 
@@ -54,6 +57,7 @@ class Aperture:
     shape: Area
     radius: float | None = None
     block: tuple[Painted, ...] | None = None
+    function: str = ""
 
     @property
     def reach(self) -> float:

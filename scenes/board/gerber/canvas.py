@@ -1,6 +1,7 @@
 """What a Gerber file paints: apertures flashed and stroked, regions, blocks and repeats of them."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 import shapely
@@ -37,6 +38,7 @@ class Canvas:
     def __init__(self) -> None:
         self.dark = True
         self.pose = AperturePose()
+        self.function = ""
         self.apertures: dict[int, Aperture] = {}
         self.selected: int | None = None
         self._posed: dict[tuple[int, AperturePose], Aperture] = {}
@@ -55,9 +57,16 @@ class Canvas:
             objects = tuple(item.moved(matrix, offset_mm) for item in objects)
         return LayerImage(objects, negative)
 
+    def attribute(self, text: str) -> None:
+        """Take an X2 attribute: the function of apertures defined from now on."""
+        if text.startswith("TA.AperFunction,"):
+            self.function = text.split(",")[1].strip()
+        elif text in ("TD", "TD.AperFunction"):
+            self.function = ""
+
     def define(self, number: int, aperture: Aperture) -> None:
         """Give an aperture its number."""
-        self.apertures[number] = aperture
+        self.apertures[number] = replace(aperture, function=self.function)
         self._posed = {key: tool for key, tool in self._posed.items() if key[0] != number}
 
     def stroke(self, segment: Segment) -> None:
@@ -100,11 +109,8 @@ class Canvas:
         x0, y0, x1, y1 = (0.0,) * 4 if tool.shape.is_empty else tool.shape.bounds
         bounds = (x0 + at[0], y0 + at[1], x1 + at[0], y1 + at[1])
         place = np.asarray(at)
-        self._add(
-            Painted(
-                self.dark, bounds, lambda: shapely.transform(tool.shape, lambda xy: xy + place), at
-            )
-        )
+        shape = partial(shapely.transform, tool.shape, lambda xy: xy + place)
+        self._add(Painted(self.dark, bounds, shape, at, function=tool.function))
 
     def open_block(self, number: int) -> None:
         """Collect what follows in an aperture of that number."""
@@ -147,7 +153,8 @@ class Canvas:
         if key not in self._posed:
             matrix, radius = self.pose.matrix, plain.radius
             shape = shapely.transform(plain.shape, lambda xy: xy @ matrix.T)
-            self._posed[key] = Aperture(shape, None if radius is None else radius * self.pose.scale)
+            radius = None if radius is None else radius * self.pose.scale
+            self._posed[key] = Aperture(shape, radius, function=plain.function)
         return self._posed[key]
 
     def _add(self, item: Painted) -> None:

@@ -1,7 +1,7 @@
 """A board from its Gerber and drill files."""
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from string import digits
 from typing import Literal, Self
@@ -11,6 +11,7 @@ from pydantic import NonNegativeFloat, model_validator
 
 from scenes.board import gerber
 from scenes.board.board_settings import BoardBase
+from scenes.board.extras.fiducials import Fiducials, at_positions, with_found
 from scenes.board.extras.holes import with_holes
 from scenes.board.pad_layout import Area, Bounds, Layout, Pad, cut_pads, within_box
 from scenes.support.errors import FileError, FringebenchWarning, SceneError
@@ -90,6 +91,8 @@ class GerberBoard(BoardBase):
             cut_pads(pads, box),
             self._legend(paths, box).intersection(board),
         )
+        if self.fiducials is not None:
+            layout = with_found(layout, self._fiducials(layout, paths, self.fiducials))
         if self.holes is None:
             return layout
         drilled = [
@@ -98,6 +101,23 @@ class GerberBoard(BoardBase):
             for hole in gerber.read_drills(path, mirrored, self.holes.number_format)
         ]
         return with_holes(layout, drilled, self.holes, self.mask_clearance_mm, outline)
+
+    def _fiducials(
+        self, layout: Layout, paths: Mapping[gerber.Role, Path], settings: Fiducials
+    ) -> Sequence[shapely.Polygon]:
+        if settings.positions_mm:
+            return at_positions(layout, settings)
+        found = (
+            gerber.read_fiducials(paths["copper"], self.side == "bottom")
+            if "copper" in paths
+            else ()
+        )
+        if not found:
+            raise FileError(
+                "[board.fiducials] asks for fiducials, and no aperture of the board's copper layer has the attribute "
+                "FiducialPad: give positions_mm = [[x, y], ...]"
+            )
+        return found
 
     def _legend(self, paths: Mapping[gerber.Role, Path], box: Bounds) -> Area:
         if self.legend is None:

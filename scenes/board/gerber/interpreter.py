@@ -177,6 +177,7 @@ class _State:
     def _extended(self, text: str) -> None:
         code, rest = text[:2], text[2:]
         if code in _IGNORED:
+            self.canvas.attribute(text)
             return
         if code == "AM":
             macro = Macro.parse(rest)

@@ -92,6 +92,32 @@ def read_area(path: Path, box: Bounds, mirrored: bool = False) -> Area:
         return shapely.transform(area, flipped) if mirrored else area
 
 
+def read_fiducials(path: Path, mirrored: bool = False) -> tuple[shapely.Polygon, ...]:
+    """Read what a copper layer flashes with apertures of the attribute ``FiducialPad``.
+
+    Parameters
+    ----------
+    path
+        The Gerber file.
+    mirrored
+        Reverse the sign of x, as for the bottom side seen from below.
+
+    Returns
+    -------
+    tuple of Polygon
+        Outlines in mm, in the file's order; empty where the file names none.
+
+    Raises
+    ------
+    FileError
+        For a file that is not a whole, valid Gerber file.
+    """
+    with drawable(path):
+        named = [o for o in read(path).objects if o.dark and o.function == "FiducialPad"]
+        shapes = [part for item in named for part in shapely.get_parts(item.shape())]
+        return tuple(shapely.transform(s, flipped) if mirrored else s for s in shapes)
+
+
 def painted(pieces: Sequence[tuple[Area, bool]]) -> Area:
     """Dark pieces added and clear ones removed, in order."""
     area: Area = shapely.Polygon()

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 FARTHEST_MM = 1e5
 
 _COMMENT = re.compile(r"G0?4(?!\d)[^*]*\*?")
+# Attributes of apertures in files for readers older than X2.
+_ATTRIBUTE = re.compile(r"G0?4\s*#@!\s*(T[AD][^*]*)\*")
 _LENGTH = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
 
 
@@ -31,6 +33,8 @@ def split_commands(text: str) -> Iterator[Command]:
             at += 1
         elif comment := _COMMENT.match(text, at):
             at = comment.end()
+            if attribute := _ATTRIBUTE.match(comment[0]):
+                yield Command(attribute[1], True)
             # Eagle writes percent signs into comments, the closing one after the asterisk.
             if comment[0].count("%") % 2 and text[at : at + 1] == "%":
                 at += 1
