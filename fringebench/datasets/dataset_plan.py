@@ -20,7 +20,14 @@ ALWAYS = ("stack.exr", "truth.exr", "scene.toml", "labels.json")
 PICTURE = "picture.png"
 HEIGHTS = ("height.png", "reconstruction.exr")
 COLOUR = "colour.png"
-EVERY_FILE = (*ALWAYS, PICTURE, *HEIGHTS, COLOUR)
+MODULATION = "modulation.png"
+ON_REQUEST = {
+    "picture": (PICTURE,),
+    "heights": HEIGHTS,
+    "ring_light": (COLOUR,),
+    "modulation": (MODULATION,),
+}
+EVERY_FILE = (*ALWAYS, *(name for names in ON_REQUEST.values() for name in names))
 SPLITS = {"train": 0.8, "val": 0.1, "test": 0.1}
 
 # The order of splits repeats after so many lights.
@@ -45,6 +52,8 @@ class DatasetPlan(Frozen):
     """Each sample has measured heights: ``height.png`` and ``reconstruction.exr``."""
     ring_light: bool = False
     """Each sample has ``colour.png``, a picture under ring lights."""
+    modulation: bool = False
+    """Each sample has its measured modulation, ``modulation.png``."""
     variants: Annotated[int, Field(ge=1, le=1000)] = 1
     """Samples that share one light and differ in noise, and in what is drawn for sensor and exposures."""
     made_with: dict[str, str] = {}
@@ -66,22 +75,18 @@ class DatasetPlan(Frozen):
         count: int,
         seed: int = 0,
         splits: dict[str, float] | None = None,
-        picture: bool = True,
-        heights: bool = False,
-        variants: int = 1,
-        ring_light: bool = False,
+        **asked: Any,
     ) -> Self:
-        """The plan of `count` samples of a scene; `DatasetError` if there cannot be one."""
+        """The plan of `count` samples of a scene; `asked`: this class's other fields. `DatasetError` if there cannot be
+        one.
+        """
         try:
             return cls(
                 seed=seed,
                 count=count,
                 splits=SPLITS if splits is None else splits,
-                picture=picture,
-                heights=heights,
-                variants=variants,
-                ring_light=ring_light,
                 scene=tomllib.loads(dumps(scene)),
+                **asked,
             )
         except ImpossibleError as error:
             raise DatasetError(
@@ -111,9 +116,8 @@ class DatasetPlan(Frozen):
     @property
     def sample_files(self) -> tuple[str, ...]:
         """Names of the files of every sample."""
-        asked = (self.picture, self.heights, self.ring_light)
-        groups = zip(asked, ((PICTURE,), HEIGHTS, (COLOUR,)), strict=True)
-        return (*ALWAYS, *(name for wanted, names in groups if wanted for name in names))
+        asked = (names for key, names in ON_REQUEST.items() if getattr(self, key))
+        return (*ALWAYS, *(name for names in asked for name in names))
 
     def load_scene(self) -> Scene:
         """The scene that samples are drawn from."""
@@ -141,7 +145,7 @@ class DatasetPlan(Frozen):
                 f"'{where}' holds a data set of another scene (they differ in {', '.join(keys[:5])}): "
                 "use the same scene and settings to continue it, or another folder"
             )
-        for key in ("seed", "splits", "picture", "heights", "variants", "ring_light"):
+        for key in ("seed", "splits", "variants", *ON_REQUEST):
             old, new = getattr(other, key), getattr(self, key)
             if old != new:
                 raise DatasetError(

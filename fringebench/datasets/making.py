@@ -22,6 +22,7 @@ def dataset(
     scheduler: str | None = None,
     strict: bool = False,
     progress: Callable[[int, int, int], None] | None = None,
+    modulation: bool = False,
 ) -> Built:
     """Make a data set of random samples of a scene, or continue one that was interrupted.
 
@@ -56,6 +57,8 @@ def dataset(
         Stop at the first sample that cannot be made; by default it is recorded with its reason.
     progress
         Called with the samples done, the samples failed, and `count`.
+    modulation
+        Give each sample ``modulation.png``, the measured fringe amplitude in 16 bits.
 
     Returns
     -------
@@ -82,7 +85,17 @@ def dataset(
 
     shares = None if splits is None else dict(splits)
     loaded = load(scene) if isinstance(scene, str) else scene
-    plan = DatasetPlan.of(loaded, count, seed, shares, picture, heights, variants, ring_light)
+    plan = DatasetPlan.of(
+        loaded,
+        count,
+        seed,
+        shares,
+        picture=picture,
+        heights=heights,
+        variants=variants,
+        ring_light=ring_light,
+        modulation=modulation,
+    )
     built = build(plan, folder, workers, scheduler, strict, progress)
     write_report(str(folder))
     return built

@@ -1,6 +1,7 @@
 """A sample as pictures that any program opens."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,13 +35,27 @@ def srgb(linear: NDArray[np.floating]) -> NDArray[np.uint8]:
     return picture
 
 
-def write_png(image: NDArray[np.uint8], path: Path) -> None:
-    """Write a grey picture (row, col) or a colour one (row, col, 3), atomically."""
+def modulation_step_dn(stack: Stack) -> float:
+    """DN per number of ``modulation.png``: 16 bits reach to the sensor's end; to 256 DN if it does not round.
+
+    A power of two, the same for all samples of a sensor.
+    """
+    return float(2.0 ** ((stack.sensor.bits or 8) - 16))
+
+
+def modulation_picture(modulation_dn: NDArray[np.floating], stack: Stack) -> NDArray[np.uint16]:
+    """Modulation (row, col) as numbers, within half a step; 0 where it is not known, 65535 for that or more."""
+    number = np.nan_to_num(modulation_dn.astype(np.float64), nan=0.0) / modulation_step_dn(stack)
+    return np.rint(np.clip(number, 0.0, 65535.0)).astype(np.uint16)
+
+
+def write_png(image: NDArray[np.unsignedinteger], path: Path) -> None:
+    """Write a grey picture (row, col) of 8 or 16 bits, or a colour one (row, col, 3) of 8, atomically."""
     with replacing(path) as staged:
         Image.fromarray(image).save(staged, format="PNG")
 
 
-def read_png(path: Path) -> NDArray[np.uint8]:
-    """A picture (row, col) or (row, col, 3) of a sample."""
+def read_png(path: Path) -> NDArray[Any]:
+    """A picture (row, col) or (row, col, 3) of a sample, of 8 or 16 bits."""
     with Image.open(path) as image:
         return np.asarray(image)

@@ -79,6 +79,13 @@ class Sample:
         return self._read("colour.png", read_png)
 
     @cached_property
+    def modulation_dn(self) -> NDArray[np.floating]:
+        """``modulation.png`` in DN, (row, col), 0 where it is not known; only in data sets made with `modulation`."""
+        numbers = self._read("modulation.png", read_png)
+        step_dn: float = self.labels["modulation_png"]["step_dn"]
+        return step_dn * numbers
+
+    @cached_property
     def reconstruction(self) -> Reconstruction:
         """Measured heights; only in data sets made with `heights`."""
         from decode import Reconstruction
@@ -122,7 +129,8 @@ class Sample:
         place = f"'{self.store.where}/{self._name(file)}'"
         if not self.record.files.get(file):
             raise DatasetError(
-                f"{place} is not part of this data set: make one with --picture, --heights or --ring-light"
+                f"{place} is not part of this data set: make one with --picture, --heights, --ring-light or "
+                "--modulation"
             )
         raise DatasetError(f"{place} is missing: fringebench dataset --repair makes it again")
 

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -11,8 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evaluation.output.height_image import HeightCode, write_height_image
-from fringebench.datasets.dataset_plan import COLOUR, HEIGHTS, PICTURE, DatasetPlan
-from fringebench.datasets.pictures import camera_picture, srgb, write_png
+from fringebench.datasets.dataset_plan import COLOUR, HEIGHTS, MODULATION, PICTURE, DatasetPlan
+from fringebench.datasets.pictures import (
+    camera_picture,
+    modulation_picture,
+    modulation_step_dn,
+    srgb,
+    write_png,
+)
 from scenes.files.stack import Stack
 from scenes.files.truth_maps import Truth
 from scenes.labels.coco_format import categories, coco
@@ -92,7 +99,7 @@ def attempt(plan: DatasetPlan, scene: Scene, index: int, folder: Path) -> Record
     except Exception as error:  # one broken sample must not end the run
         return failed(plan, index, f"{type(error).__name__}: {error}")
     try:
-        made.write(folder)
+        made.write(folder, plan.sample_files)
         sums = {name: checksum(folder / name) for name in plan.sample_files}
     except (FringebenchError, OSError) as error:
         raise DatasetError(f"sample {index} cannot be written: {error}") from error
@@ -129,7 +136,6 @@ class _Content:
     truth: Truth
     measured: "Reconstruction | None"
     labels: dict[str, Any]
-    picture: bool
     colour: NDArray[np.float32] | None
 
     @classmethod
@@ -161,22 +167,27 @@ class _Content:
             labels["light"] = reached.to_dict() | {"samples": transport.samples}
         if plan.ring_light:
             labels["rings"] = [asdict(ring) for ring in RINGS]
-        measured = None
         if plan.heights:
-            measured = decode.reconstruct(stack)
             code = HeightCode.of_range(*drawn.height_range_mm)
             labels["height_png"] = asdict(code) | {"no_height": 0}
-        return cls(drawn, stack, truth, measured, labels, plan.picture, colour)
+        if plan.modulation:
+            labels["modulation_png"] = {"step_dn": modulation_step_dn(stack), "no_modulation": 0}
+        measured = decode.reconstruct(stack) if plan.heights or plan.modulation else None
+        return cls(drawn, stack, truth, measured, labels, colour)
 
-    def write(self, folder: Path) -> None:
+    def write(self, folder: Path, files: Sequence[str]) -> None:
         self.stack.write(folder / "stack.exr")
         self.truth.write(folder / "truth.exr")
         save(self.scene, folder / "scene.toml")
-        if self.picture:
+        if PICTURE in files:
             write_png(camera_picture(self.stack), folder / PICTURE)
         if self.colour is not None:
             write_png(srgb(self.colour), folder / COLOUR)
-        if self.measured is not None:
+        if MODULATION in files and self.measured is not None:
+            write_png(
+                modulation_picture(self.measured.modulation_dn, self.stack), folder / MODULATION
+            )
+        if HEIGHTS[0] in files and self.measured is not None:
             code = HeightCode.of_range(*self.scene.height_range_mm)
             heights = np.where(self.measured.valid, self.measured.height_mm, np.nan)
             write_height_image(folder / HEIGHTS[0], heights, code)

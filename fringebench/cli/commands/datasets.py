@@ -37,6 +37,7 @@ def dataset(
     picture: Annotated[bool, typer.Option("--picture/--no-picture")] = True,
     ring_light: bool = False,
     heights: bool = False,
+    modulation: bool = False,
     variants: opt.Count = 1,
     format_: Annotated[str, typer.Option("--format", metavar="folder|webdataset")] = "folder",
     card: bool = False,
@@ -64,6 +65,7 @@ def dataset(
     picture: picture.png in each sample: 8 bits, what a 2-D camera sees; for COCO.
     ring_light: colour.png in each sample: a 2-D camera's colour picture under red, green and blue ring lights.
     heights: Measured heights in each sample: height.png, reconstruction.exr.
+    modulation: Measured fringe amplitude in each sample: modulation.png, 16 bits.
     variants: Samples that share one light: only noise, and what is drawn for sensor and exposures, differ.
     format_: webdataset: tar shards as well.
     card: Data card: README.md, and its tables in report.html.
@@ -95,7 +97,15 @@ def dataset(
 
         loaded = scenes.load(scene, parse_overrides(settings, phase_error, render_noise))
         plan = DatasetPlan.of(
-            loaded, count, seed, _splits(split), picture, heights, variants, ring_light
+            loaded,
+            count,
+            seed,
+            _splits(split),
+            picture=picture,
+            heights=heights,
+            variants=variants,
+            ring_light=ring_light,
+            modulation=modulation,
         )
         answer = _build(plan, output, processes, scheduler, strict, progress)
         if format_ == "webdataset":

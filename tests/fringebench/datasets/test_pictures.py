@@ -16,7 +16,7 @@ import scenes
 from evaluation.output.height_image import HeightCode
 from fringebench.datasets.building import build
 from fringebench.datasets.dataset_plan import DatasetPlan
-from fringebench.datasets.pictures import camera_picture
+from fringebench.datasets.pictures import camera_picture, modulation_picture
 from fringebench.datasets.verification import verify
 from scenes.board.defects import CLASSES
 from scenes.labels.coco_format import CATEGORIES, run_lengths
@@ -37,9 +37,9 @@ M02*
 
 @pytest.fixture(scope="module")
 def measured_set(plan: DatasetPlan, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two samples with measured heights."""
+    """Two samples with measured heights and modulation."""
     folder = tmp_path_factory.mktemp("measured") / "set"
-    build(plan.model_copy(update={"count": 2, "heights": True}), folder)
+    build(plan.model_copy(update={"count": 2, "heights": True, "modulation": True}), folder)
     return folder
 
 
@@ -88,6 +88,32 @@ def test_height_picture_is_the_reconstruction_within_half_a_step(measured_set: P
         assert error.max() <= code.step_mm / 2 + 1e-7
 
 
+def test_modulation_picture_is_the_measured_amplitude_within_half_a_step(
+    measured_set: Path,
+) -> None:
+    for sample in fringebench.Dataset(measured_set):
+        stated = sample.labels["modulation_png"]
+        # A sensor of 12 bits: 65536 numbers for 4096 DN.
+        assert stated == {"step_dn": 1.0 / 16.0, "no_modulation": 0}
+        with Image.open(measured_set / sample.record.folder / "modulation.png") as image:
+            number = np.asarray(image)
+        assert number.dtype == np.uint16
+        assert number.shape == (48, 64)
+        np.testing.assert_array_equal(sample.modulation_dn, number / 16.0)
+        # Seen light has fringes: amplitudes by the three-step formula of the finest set, one exposure.
+        i0, i1, i2 = sample.frames[0, :3].astype(np.float64)
+        amplitude = np.sqrt(3.0 * (i1 - i2) ** 2 + (2.0 * i0 - i1 - i2) ** 2) / 3.0
+        valid = sample.reconstruction.valid
+        assert np.abs(number / 16.0 - amplitude)[valid].max() <= 0.5 / 16.0 + 1e-3
+
+
+def test_number_zero_of_a_modulation_picture_is_unknown_and_the_last_is_that_or_more() -> None:
+    shown = scenes.PhaseShift(steps=4, periods_px=(16.0,)).frames()
+    stack = scenes.Stack(np.zeros((1, 4, 1, 3), np.uint8), shown, (1.0,), scenes.Emva(bits=8))
+    given = np.array([[np.nan, 1.0, 300.0]])
+    np.testing.assert_array_equal(modulation_picture(given, stack), [[0, 256, 65535]])
+
+
 def test_number_zero_of_a_height_picture_is_no_height() -> None:
     code = HeightCode(offset_mm=-1.0, step_mm=0.25)
     np.testing.assert_array_equal(code.encode([np.nan, -1.0, -0.75, 0.0]), [0, 0, 1, 4])
@@ -101,6 +127,8 @@ def test_picture_of_a_set_made_without_them_is_refused(plan: DatasetPlan, tmp_pa
     assert sample.labels["images"][0]["file_name"] == "samples/000000/stack.exr"
     with pytest.raises(DatasetError, match="not part of this data set"):
         _ = sample.picture
+    with pytest.raises(DatasetError, match="not part of this data set"):
+        _ = sample.modulation_dn
     with pytest.raises(DatasetError, match="picture False, not True"):
         build(plan, folder)
 
@@ -118,6 +146,21 @@ def test_coco_images_open_with_pillow(undisturbed: Path) -> None:
             assert len(coco.loadAnns(coco.getAnnIds(number))) > 0
             seen += 1
     assert seen == 6
+
+
+@pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
+def test_torchvision_loads_pictures_and_masks_of_every_split(undisturbed: Path) -> None:
+    detection = pytest.importorskip("torchvision.datasets")
+    for split in ("train", "val", "test"):
+        found = detection.CocoDetection(undisturbed, str(undisturbed / "coco" / f"{split}.json"))
+        samples = fringebench.Dataset(undisturbed, split=split)
+        for (picture, notes), sample in zip(found, samples, strict=True):
+            assert picture.mode == "RGB"
+            np.testing.assert_array_equal(np.asarray(picture)[..., 0], sample.picture)
+            assert [n["bbox"] for n in notes] == [n["bbox"] for n in sample.labels["annotations"]]
+            for note in notes:
+                mask = found.coco.annToMask(note)
+                assert (mask.shape, mask.max()) == (sample.picture.shape, 1)
 
 
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
