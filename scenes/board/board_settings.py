@@ -24,6 +24,8 @@ CONTAMINATION = "contamination"
 LEGEND = "legend"
 HOLE = "hole"
 FIDUCIAL = "fiducial"
+SCRATCH = "scratch"
+RESIDUE = "residue"
 
 # Streams of random numbers of a drawn region and of the warp; 0 is the layers, 1 to 3 and 5 are the print.
 REGION, WARP = 4, 6
@@ -97,6 +99,8 @@ class BoardBase(Frozen):
             (CONTAMINATION, contaminated),
             (HOLE, self.holes is not None),
             (FIDUCIAL, self.fiducials is not None),
+            (SCRATCH, self.defects.scratch.probability > 0),
+            (RESIDUE, self.defects.residue.probability > 0),
         )
         return (*LABELS, *(label for label, there in others if there))
 
@@ -110,6 +114,7 @@ class BoardBase(Frozen):
             layers.pad_material,
             self.paste.material,
             self.defects.contamination.material,
+            self.defects.residue.material,
             *(part.material for part in (self.legend, self.holes) if part),
         )
 
@@ -126,7 +131,9 @@ class BoardBase(Frozen):
         legend = draw(self.legend.height_mm, rng) if self.legend else 0.0
         dip = draw(self.holes.dip_mm, rng) if self.holes else 0.0
         depth = self.holes.depth_mm if self.holes else 0.0
-        return Stackup(copper, copper + finish, mask, legend, dip, depth)
+        shift = draw(layers.mask_shift_x_mm, rng), draw(layers.mask_shift_y_mm, rng)
+        film = draw(self.defects.residue.height_mm, rng)
+        return Stackup(copper, copper + finish, mask, legend, dip, depth, shift, film)
 
     def warped_plane(self) -> WarpedPlane:
         """The drawn tilt and bow, world coordinates."""

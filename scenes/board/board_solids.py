@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenes.board.board import Board
-from scenes.board.board_settings import CONTAMINATION, FIDUCIAL, HOLE, LEGEND
+from scenes.board.board_settings import CONTAMINATION, FIDUCIAL, HOLE, LEGEND, RESIDUE, SCRATCH
 from scenes.board.deposits import PasteBridge, Print
 from scenes.board.printing import printed
 from scenes.board.surface import surfaces
@@ -56,6 +56,9 @@ def _bodies(board: Board, print_: Print) -> Iterable[Body]:
         "base": ("base", layers.laminate_material),
         "mask": ("mask", layers.mask_material),
         "pad": ("pad", layers.pad_material),
+        RESIDUE: (RESIDUE, board.defects.residue.material),
+        "scratched copper": (SCRATCH, "copper"),
+        "scratched laminate": (SCRATCH, layers.laminate_material),
         FIDUCIAL: (FIDUCIAL, layers.pad_material),
         LEGEND: (LEGEND, board.legend.material if board.legend else ""),
         HOLE: (HOLE, board.holes.material if board.holes else ""),

@@ -118,6 +118,29 @@ class Contamination(Defect):
     """From the pad's centre, relative to half the aperture's longer side."""
 
 
+class Scratch(Defect):
+    """A groove through the mask, down to copper or laminate; a pad's finish stays whole."""
+
+    length_mm: Length = Uniform(low=0.5, high=4.0)
+    """Between the middles of its round ends."""
+    width_mm: Length = Uniform(low=0.03, high=0.12)
+    direction_deg: Quantity = Uniform(low=0.0, high=360.0)
+    distance: NonNegative = Uniform(low=0.5, high=2.0)
+    """Of its middle from the pad's, relative to half the aperture's longer side."""
+
+
+class Residue(Defect):
+    """A patch of a thin film, such as flux or a stain of cleaning; it follows what is below."""
+
+    material: str = "flux"
+    radius_mm: Length = Uniform(low=0.2, high=0.8)
+    """Of the disk of its area."""
+    height_mm: Length = 0.008
+    """Of the film, the same for a whole board."""
+    distance: NonNegative = Uniform(low=0.0, high=2.0)
+    """Of its middle from the pad's, relative to half the aperture's longer side."""
+
+
 class Defects(Frozen):
     """All defects; absent ones never occur."""
 
@@ -131,6 +154,8 @@ class Defects(Frozen):
     smear: Smear = Smear()
     bridge: Bridge = Bridge()
     contamination: Contamination = Contamination()
+    scratch: Scratch = Scratch()
+    residue: Residue = Residue()
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from scenes.support.frozen import Frozen
 FINISHES = {"enig": "gold", "hasl": "solder", "tin": "tin", "osp": "copper"}
 
 Thickness = Annotated[Quantity, within(0.0, 1.0)]
+Shift = Annotated[Quantity, within(-0.3, 0.3)]
 Positive = Annotated[Quantity, within(1e-4, 1.0)]
 
 
@@ -23,6 +24,9 @@ class Layers(Frozen):
     mask_mm: Positive = 0.025
     """Solder mask, the same on laminate and on copper."""
     mask_material: str = "solder-mask-green"
+    mask_shift_x_mm: Shift = 0.0
+    """How far the mask's openings are off the copper, drawn once per board."""
+    mask_shift_y_mm: Shift = 0.0
     laminate_material: str = "laminate"
 
     @property
@@ -54,3 +58,6 @@ class Stackup:
     """How much lower the mask is over a tented hole."""
     depth_mm: float = 0.0
     """Of what an open hole shows, below the laminate's surface."""
+    mask_shift_mm: tuple[float, float] = (0.0, 0.0)
+    film_mm: float = 0.0
+    """Of residue, above what is below it."""

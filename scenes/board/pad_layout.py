@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 import shapely
@@ -13,6 +13,8 @@ Bounds = tuple[float, float, float, float]
 
 # Corners of a circle. The polygon of equal area deviates by 0.08 % of the radius: 0.2 um for a 0.5 mm pad.
 CIRCLE = 64
+
+DamageClass = Literal["scratch", "residue", "mask-shift"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +48,17 @@ class ThroughHole:
 
 
 @dataclass(frozen=True, eq=False)
+class Damage:
+    """A fault of the bare board."""
+
+    name: DamageClass
+    pad: int
+    """Near which it was drawn, or whose copper the mask covers; 0 for none."""
+    outline: Area
+    """As far as it shows: a scratch in the mask, residue on the board, copper under mask that should be bare."""
+
+
+@dataclass(frozen=True, eq=False)
 class Layout:
     """Everything printed or etched that the board's surface needs, cut to a box."""
 
@@ -66,6 +79,7 @@ class Layout:
     """Open ones are left out of copper and legend."""
     fiducials: tuple[shapely.Polygon, ...] = ()
     """Copper of those wholly inside the box."""
+    damage: tuple[Damage, ...] = ()
 
     @property
     def centre_mm(self) -> tuple[float, float]:

@@ -17,6 +17,7 @@ from pydantic import TypeAdapter
 from scenes.board.board import Board
 from scenes.board.defects import PadDefects, draw_defects
 from scenes.board.deposits import Deposit, Print
+from scenes.board.extras.damage import damaged
 from scenes.board.gerber.gerber_board import GerberBoard
 from scenes.board.layers import Legend
 from scenes.board.pad_layout import Layout, Pad, area_ratio, rounded
@@ -54,7 +55,8 @@ def printed(board: Board) -> Print:
 @lru_cache(maxsize=1)
 def _printed(board_json: str, stamps: tuple[tuple[str, int, int], ...]) -> Print:
     board: Board = TypeAdapter(Board).validate_json(board_json)
-    layout = artwork(board)
+    stackup = board.stackup()
+    layout = damaged(board, artwork(board), stackup)
     rng, paste = board.generator(PRINT), board.paste
     registration = _Registration(
         draw(paste.stencil_mm, rng),
@@ -67,7 +69,7 @@ def _printed(board_json: str, stamps: tuple[tuple[str, int, int], ...]) -> Print
     deposits = {deposit.pad.id: lifted(deposit, made, tree) for deposit in made}
     return Print(
         layout,
-        board.stackup(),
+        stackup,
         registration.stencil_mm,
         tuple(deposits.values()),
         tuple(drawn_bridges(board, deposits)),

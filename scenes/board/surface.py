@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from scenes.board.board_settings import FIDUCIAL, HOLE, LEGEND
+from scenes.board.board_settings import FIDUCIAL, HOLE, LEGEND, RESIDUE
 from scenes.board.layers import Stackup
 from scenes.board.pad_layout import Layout
 
@@ -19,7 +19,8 @@ Ints = NDArray[np.int64]
 
 # Outlines are noded on this grid (10 nm), which makes their overlay robust.
 GRID_MM = 1e-5
-KINDS = ("base", "mask", "pad", LEGEND, HOLE, FIDUCIAL)
+# Those of most boards, in the order of their labels.
+KINDS = ("base", "mask", "pad", LEGEND)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +55,8 @@ def surfaces(
     layout: Layout, stackup: Stackup, face_mm: float | None = None
 ) -> dict[str, BoardSurface]:
     """Kind of surface -> triangles, with their upright edges: `base` bare laminate, `mask`, `pad` copper free of it,
-    `legend`, `fiducial`, `hole` what an open hole shows, `plated wall` and `bare wall` its sides.
+    `legend`, `fiducial`, `residue`, `scratched copper` and `scratched laminate`, `hole` what an open hole shows, `plated wall`
+    and `bare wall` its sides.
 
     With `face_mm` faces are cut into squares of this size, so that the surface can be bent.
     """
@@ -65,7 +67,7 @@ def surfaces(
     # A wall belongs to the face that it falls from, a hole's to the hole.
     wall_kind = np.where(faces.kind[below] == HOLE, faces.sides[below], faces.kind[wall_of])
     built = {}
-    for kind in dict.fromkeys((*KINDS, *wall_kind)):
+    for kind in dict.fromkeys((*KINDS, *np.unique(faces.kind), *np.unique(wall_kind))):
         chosen, sides = np.flatnonzero(faces.kind == kind), wall_kind == kind
         if not len(chosen) and not sides.any():
             continue
@@ -93,12 +95,14 @@ def _faces(layout: Layout, stackup: Stackup) -> _Faces:
         shapely.union_all([hole.outline for hole in layout.holes if of_kind(hole)])
         for of_kind in (lambda h: h.tented, lambda h: h.plated > h.tented, lambda h: not h.tented)
     ]
-    areas = [
-        shapely.set_precision(area, GRID_MM)
-        for area in (*areas, shapely.union_all(layout.fiducials))
+    areas += [shapely.union_all(layout.fiducials)]
+    areas += [
+        shapely.union_all([mark.outline for mark in layout.damage if mark.name == name])
+        for name in ("scratch", "residue")
     ]
+    areas = [shapely.set_precision(area, GRID_MM) for area in areas]
     lines = shapely.union_all([shapely.boundary(area) for area in areas], grid_size=GRID_MM)
-    copper, openings, board, legend, tented, plated, drilled, marks = areas
+    copper, openings, board, legend, tented, plated, drilled, marks, grooves, spilt = areas
     cut = shapely.orient_polygons(shapely.get_parts(shapely.polygonize([lines])))
     inside = shapely.point_on_surface(cut)
     for area in areas:
@@ -108,23 +112,30 @@ def _faces(layout: Layout, stackup: Stackup) -> _Faces:
     metal, bare = shapely.intersects(copper, inside), shapely.intersects(openings, inside)
     marked, deep = shapely.intersects(legend, inside), shapely.intersects(drilled, inside)
     fiducial = bare & metal & shapely.intersects(marks, inside)
+    groove, film = (shapely.intersects(area, inside) for area in (grooves, spilt))
+    groove &= ~bare
     kinds = np.select(
-        [deep, fiducial, bare & metal, bare, marked],
-        [HOLE, FIDUCIAL, "pad", "base", LEGEND],
+        [deep, film, fiducial, bare & metal, bare, groove & metal, groove, marked],
+        [HOLE, RESIDUE, FIDUCIAL, "pad", "base", "scratched copper", "scratched laminate", LEGEND],
         "mask",
     )
     sides = np.where(shapely.intersects(plated, inside), "plated wall", "bare wall")
     covered = stackup.mask_mm + stackup.copper_mm * metal + stackup.legend_mm * marked
     covered = covered - stackup.dip_mm * shapely.intersects(tented, inside)
     heights = np.select(
-        [deep, bare & metal, bare], [-stackup.depth_mm, stackup.pad_mm, 0.0], covered
+        [deep, bare & metal, bare, groove & metal, groove],
+        [-stackup.depth_mm, stackup.pad_mm, 0.0, stackup.copper_mm, 0.0],
+        covered,
     )
+    heights = heights + stackup.film_mm * (film & ~deep)
     owner = np.zeros(len(cut), dtype=np.int64)
     if layout.pads:
         middles = np.array([pad.outline.point_on_surface() for pad in layout.pads])
-        for i in np.flatnonzero(shapely.intersects(drilled, middles)):
-            # A via is in the pad's middle.
-            middles[i] = layout.pads[i].outline.difference(drilled).point_on_surface()
+        hidden = shapely.union(drilled, spilt)
+        shapely.prepare(hidden)
+        for i in np.flatnonzero(shapely.intersects(hidden, middles)):
+            # A via or a stain is in the pad's middle.
+            middles[i] = layout.pads[i].outline.difference(hidden).point_on_surface()
         face, pad = shapely.STRtree(middles).query(cut, predicate="intersects")
         for f in np.unique(face):
             printed = pad[face == f]

@@ -5,7 +5,7 @@ are continuous with the first pixel's corner at (0, 0), as this project's are.
 """
 
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import shapely
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from scenes.board.defects import CLASSES
 from scenes.board.deposits import Deposit, Print
+from scenes.board.pad_layout import DamageClass
 from scenes.board.printing import printed
 from scenes.rig.projection import Projection
 from scenes.scene import Scene
@@ -21,7 +22,8 @@ from scenes.support.errors import SceneError
 # What a detector is neither rewarded nor punished for: pads cut by the region's edge, whose bare copper looks like a
 # missing deposit. Annotated as crowds, which readers leave out.
 IGNORE = "ignore"
-CATEGORIES: tuple[str, ...] = ("good", *CLASSES, IGNORE)
+DAMAGE: tuple[str, ...] = get_args(DamageClass)
+CATEGORIES: tuple[str, ...] = ("good", *CLASSES, IGNORE, *DAMAGE)
 # Objects next to or on a deposit, which has a class of its own.
 OWN_OUTLINE = ("smear", "bridge", "contamination")
 # A bridge of deposits that touch, which they do not hide.
@@ -40,6 +42,9 @@ IPC_NAMES = {
     "smear": "smearing",
     "bridge": "bridging",
     "contamination": "foreign material",
+    "scratch": "scratched solder mask",
+    "residue": "residue",
+    "mask-shift": "solder mask misregistration",
 }
 # Outlines smaller than this cannot be drawn, nor have COCO's readers a box for them.
 SMALLEST_PX2 = 0.5
@@ -131,8 +136,7 @@ def _flat_outlines(print_: Print) -> Iterable[tuple[str, int, shapely.Geometry]]
         name: shapely.STRtree(parts)
         for name, parts in {
             **hiding,
-            "missing": [*specks, *deposits, *thin],
-            IGNORE: [*specks, *deposits, *thin],
+            **{key: [*specks, *deposits, *thin] for key in ("missing", IGNORE, *DAMAGE)},
             "": specks,
         }.items()
     }
@@ -145,9 +149,13 @@ def _flat_outlines(print_: Print) -> Iterable[tuple[str, int, shapely.Geometry]]
 def _whole_outlines(print_: Print) -> Iterable[tuple[str, int, shapely.Geometry]]:
     for deposit in print_.deposits:
         yield from _of_deposit(deposit)
-    x, y = print_.layout.centre_mm
-    for cut, copper in print_.layout.cut_copper:
-        yield IGNORE, cut.id, shapely.transform(copper, lambda xy: xy - np.array([x, y]))
+    layout, origin = print_.layout, np.asarray(print_.layout.centre_mm)
+    flat: list[tuple[str, int, shapely.Geometry]] = [
+        *((IGNORE, cut.id, copper) for cut, copper in layout.cut_copper),
+        *((mark.name, mark.pad, mark.outline) for mark in layout.damage),
+    ]
+    for name, pad, outline in flat:
+        yield name, pad, shapely.transform(outline, lambda xy: xy - origin)
     outlines = {deposit.pad.id: deposit.footprint for deposit in print_.deposits}
     for bridge in print_.bridges:
         if bridge.field is not None:

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from scenes.board.defects import DefectClass
 from scenes.board.deposits import Deposit, Print
-from scenes.board.pad_layout import ThroughHole
+from scenes.board.pad_layout import Damage, DamageClass, ThroughHole
 from scenes.board.printing import printed
 from scenes.scene import Scene
 from scenes.support.atomic_file import replacing
@@ -90,6 +90,18 @@ class FiducialTruth(Frozen):
     """Of the circle of its area."""
 
 
+class DamageTruth(Frozen):
+    """A fault of the bare board, world mm."""
+
+    name: DamageClass
+    pad: int
+    """Near which it is; 0 for none."""
+    x_mm: float
+    """Centroid of what shows of it, paste left out."""
+    y_mm: float
+    area_mm2: float
+
+
 class BoardTruth(Frozen):
     """All pads of a scene's region."""
 
@@ -111,6 +123,10 @@ class BoardTruth(Frozen):
     """Those in or partly in the region."""
     fiducials: tuple[FiducialTruth, ...] = ()
     """Those wholly in the region, where the artwork has them: the print's registration errors are relative to them."""
+    mask_shift_mm: Range = (0.0, 0.0)
+    """How far the mask's openings are off the copper."""
+    damage: tuple[DamageTruth, ...] = ()
+    """Scratches, residue, and copper that a shifted mask covers."""
 
     def write(self, path: str | Path) -> None:
         """Write as JSON, atomically."""
@@ -185,6 +201,8 @@ def truth_of(print_: Print) -> BoardTruth:
         bridges=bridges,
         cut=tuple(pad.id for pad in print_.layout.cut),
         holes=tuple(_hole(hole, print_.layout.centre_mm) for hole in print_.layout.holes),
+        mask_shift_mm=print_.stackup.mask_shift_mm,
+        damage=tuple(_damage(mark, print_.layout.centre_mm) for mark in print_.layout.damage),
         fiducials=tuple(
             FiducialTruth(
                 x_mm=copper.centroid.x - print_.layout.centre_mm[0],
@@ -193,6 +211,17 @@ def truth_of(print_: Print) -> BoardTruth:
             )
             for copper in print_.layout.fiducials
         ),
+    )
+
+
+def _damage(mark: Damage, origin_mm: Range) -> DamageTruth:
+    middle = mark.outline.centroid
+    return DamageTruth(
+        name=mark.name,
+        pad=mark.pad,
+        x_mm=middle.x - origin_mm[0],
+        y_mm=middle.y - origin_mm[1],
+        area_mm2=mark.outline.area,
     )
 
 
