@@ -91,7 +91,7 @@ class Options:
     max_order_residual: float = 0.25
     """How far from a whole number, in periods, a predicted order may be; 0.5 accepts all."""
     uncertainty: Uncertainty = "sensor"
-    """by-cause: also look for mixed pixels and indirect light, reject what they spoil, and give a sigma for each; see
+    """by-cause: also predict blur, mixed pixels and indirect light, reject what they spoil, and give a sigma for each; see
     `Reconstruction.total_sigma_mm`."""
     matcher: Matcher | None = None
     """For two cameras without fringes: semi-global or plain block matching. None: sgbm."""

@@ -115,7 +115,7 @@ def reconstruct(
     max_order_residual
         Largest distance, in periods, of a predicted fringe order from a whole number, above 0, up to 0.5 (accepts all).
     uncertainty
-        ``"by-cause"``: also look for mixed pixels and indirect light, reject what they spoil (`mixed`, `stray`), and
+        ``"by-cause"``: also predict blur, mixed pixels and indirect light, reject what they spoil (`mixed`, `stray`), and
         predict their share in `Reconstruction.total_sigma_mm`.
     matcher
         ``"sgbm"`` or ``"bm"``, for two cameras without fringes: semi-global or plain block matching. None: sgbm.

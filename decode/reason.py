@@ -29,8 +29,8 @@ class Reason(IntEnum):
     """The fringe order is known only up to whole turns, so the height may be off by whole fringes: nothing measured fixes
     it, and `reconstruct` was not asked to scan (``unwrap``, or ``anchor="spatial"``)."""
     MIXED = 10
-    """The pixel sees two heights, and reports one that is neither (`decode.validity.error_causes`), or its centre is beside the mirror
-    that it measures (`decode.deflectometry.edges`)."""
+    """The pixel sees two heights, and reports one that is neither, or brightness changes too much within the blur
+    (`decode.validity.error_causes`); or its centre is beside the mirror that it measures (`decode.deflectometry.edges`)."""
     STRAY = 11
     """A third or more of the fine fringes' modulation is lost to light that came by way of other surfaces."""
     NO_IMAGE = 12

@@ -23,7 +23,7 @@ KIND = "reconstruction"
 ORDER_ABSOLUTE, ORDER_UP_TO_TURNS = "absolute", "known only up to whole turns"
 Image = NDArray[np.float32]
 # Of `Reconstruction.cause_sigma_mm`.
-CAUSES = ("mixed", "stray")
+CAUSES = ("mixed", "stray", "blur")
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from decode.height.models import Pixels
 from decode.order import temporal
 from decode.reason import Reason
 from decode.reconstruction import AxisPhase, Reconstruction
-from decode.validity import limits
+from decode.validity import limits, shadow
 from decode.validity.error_causes import Signs
 from decode.validity.stray_light import Coordinates, StrayLight
 
@@ -104,18 +104,20 @@ class Kernel:
         if not signs:
             return rec, None
         sigma_rad, *visibility = (self._device.image(values, self._image) for values in signs)
+        level = visibility.pop(0) if measured.samples is not None else None
         with np.errstate(divide="ignore", invalid="ignore"):
             mm_per_rad = rec.sigma_mm / sigma_rad
         periods = tuple(fringes.period_px for fringes in plan.measuring.sets)
-        return rec, Signs(periods, tuple(visibility), sigma_rad, mm_per_rad)
+        return rec, Signs(periods, tuple(visibility), sigma_rad, mm_per_rad, level)
 
     def _signs(self, measured: AxisLanes) -> list[Lanes]:
-        """Sensor noise of the finest phase in rad, then B / A of each period, unless samples may be clipped."""
+        """Sensor noise of the finest phase in rad, the fringes' level, and B / A of each period unless samples may be clipped."""
         black, device = self._plan.stack.sensor.black_level_dn, self._device
         # Clipping changes the modulation of fine and coarse fringes differently.
         clean = measured.phasors if self._plan.options.saturation == "reject" else ()
         return [
             device.root(measured.phasor.variance_rad2),
+            *([] if measured.samples is None else [shadow.level(measured.samples)]),
             *(
                 device.root(p.cosine * p.cosine + p.sine * p.sine) / (p.offset - black)
                 for p in clean

@@ -1,10 +1,11 @@
-"""Errors that are no sensor noise, from signs that a decoder sees: mixed pixels, and light that came by way of other surfaces.
+"""Errors that are no sensor noise, from signs that a decoder sees: mixed pixels, blur, and light from other surfaces.
 
-A mixed pixel sees two heights and reports one between or beyond them, so its neighbours differ from it by more than noise and
-slope explain. Indirect light carries coarse fringes better than fine ones (Nayar et al. 2006): it takes modulation from the
-finest fringes, and turns their phase by up to the modulation lost over that left. Where a whole surface shows a sign, as grains
-and rough metal do, the sign does not show which pixels are wrong, only by how much they are: the sigma grows, and none is
-rejected. Measured in docs/decoding.md.
+A mixed pixel sees two heights and reports one between or beyond them, so it differs from its neighbours on every side by more
+than noise and slope explain. Where brightness changes within the blur of lens and pixels, the brighter side's phase prevails,
+by an amount that follows from the gradients of brightness and phase. Indirect light carries coarse fringes better than fine
+ones (Nayar et al. 2006): it takes modulation from the finest fringes, and turns their phase by up to the modulation lost over
+that left. Where a whole surface is rough, as grains are, differences do not show which pixels are wrong, only by how much: the
+sigma grows, and none is rejected. Measured in docs/decoding.md.
 """
 
 from dataclasses import dataclass, replace
@@ -16,23 +17,26 @@ from numpy.typing import NDArray
 
 from decode.phase.n_step import TURN
 from decode.reason import Reason
-from decode.reconstruction import Reconstruction
+from decode.reconstruction import CAUSES, Reconstruction
 from decode.validity.limits import DIM_RAD2
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 # Largest deviation among 8 neighbours, in sensor sigmas, that noise exceeds in 0.5 % of pixels (each deviation has sqrt(2)
-# sigma); one that it exceeds in 0.02 %, for the neighbours of such a pixel; and one that the median of 5 x 5 pixels never
-# exceeds: there it is 2.3, give or take 0.13.
-NOISE, SURE_NOISE, USUAL_NOISE = 4.75, 6.0, 3.1
-# Sigma per mm of deviation: of the pixel's own, of a neighbour's, and of the region's median. Tuned on `bench`, `spi` and
-# `interreflection`.
-OWN, NEIGHBOUR, REGION = 0.6, 0.4, 0.5
+# sigma); and one that the median of 5 x 5 pixels never exceeds: there it is 2.3, give or take 0.13.
+NOISE, USUAL_NOISE = 4.75, 3.1
+# Sigma per mm of deviation: of the pixel's own, and of the region's median; and sigma per rad of the blur's formula, whose
+# variance contains the projector's blur, too. The best logarithmic score on the scenes for tuning (docs/decoding.md).
+OWN, REGION, BLUR = 0.4, 0.7, 0.5
 # A pixel next to an unlit one has the height of its lit part. Its sigma is this part of the fringe's change over one pixel.
 PARTLY_LIT = 0.2
-# A pixel is mixed if its deviation is this many times the region's: else the region is rough.
-OUTSTANDING = 2.0
+# A pixel is mixed whose sigma of blur is above so many rad, or that deviates by so many and by so many times the region's
+# deviation (else the region is rough), and from each side by 1/8 rad (else it is a clean pixel next to an edge).
+MIXED_RAD, OUTSTANDING = 0.2, 3.5
+# The blur's variance where one period alone does not show it; a pixel's own, of its area; and noise of a 3 x 3 derivative
+# (Sobel / 8) of an image with noise of 1.
+USUAL_BLUR_PX2, LEAST_BLUR_PX2, NOISE_OF_SLOPE = 1.0, 1.0 / 12.0, 0.43
 # Phase sigma per unit of (modulation lost / modulation left), tuned likewise; and the part lost at which a pixel is stray:
 # indirect light then has half the direct light's fringes.
 PER_LOSS, STRAY_LOSS = 0.5, 1.0 / 3.0
@@ -59,6 +63,8 @@ class Signs:
     """Sensor noise of the finest phase."""
     mm_per_rad: Image
     """Height per phase of the finest fringes."""
+    level: Image | None = None
+    """Brightness of the fringes in any unit (`shadow.level`); None for Gray code alone."""
 
 
 def by_cause(rec: Reconstruction, signs: Signs) -> tuple[Reconstruction, float]:
@@ -81,19 +87,25 @@ def by_cause(rec: Reconstruction, signs: Signs) -> tuple[Reconstruction, float]:
     valid = rec.valid & np.isfinite(rec.height_mm) & np.isfinite(rec.sigma_mm)
     nothing = np.zeros(valid.shape, np.float32)
     if not valid.any():
-        return replace(rec, cause_sigma_mm={"mixed": nothing, "stray": nothing}), 0.0
-    mixed, outstanding, smooth = _mixed(rec, valid)
+        return replace(rec, cause_sigma_mm=dict.fromkeys(CAUSES, nothing)), 0.0
     scale = np.where(valid, np.nan_to_num(signs.mm_per_rad), np.float32(0.0))
-    frequency = _frequency(rec, signs.periods_px[-1]) if signs.periods_px else nothing
+    mixed, outstanding, smooth = _mixed(rec, valid, scale)
+    *slope, frequency = _fringes(rec, signs.periods_px[-1]) if signs.periods_px else [nothing] * 3
     unlit = np.isin(rec.reason, (Reason.SHADOW, Reason.DARK)).astype(np.uint8)
     next_to_unlit = cv2.dilate(unlit, np.ones((3, 3), np.uint8)) > 0
     mixed = np.where(next_to_unlit, np.maximum(mixed, PARTLY_LIT * TURN * frequency * scale), mixed)
     loss, lost = _loss(signs, frequency, smooth, valid)
-    stray = PER_LOSS * scale * loss / (1.0 - loss)
+    turned = _turned_rad(signs, slope) * _blur_px2(signs, frequency, smooth)
+    blur_rad = np.where(valid, BLUR * turned, 0.0)
     reason = rec.reason.copy()
     reason[valid & (loss > STRAY_LOSS)] = Reason.STRAY
-    reason[valid & (outstanding > np.sqrt(DIM_RAD2) * scale)] = Reason.MIXED
-    sigmas = {"mixed": np.where(valid, mixed, np.float32(0.0)), "stray": stray.astype(np.float32)}
+    reason[outstanding | (blur_rad > MIXED_RAD)] = Reason.MIXED
+    sigmas = {
+        "mixed": mixed,
+        "stray": PER_LOSS * scale * loss / (1.0 - loss),
+        "blur": scale * blur_rad,
+    }
+    sigmas = {cause: np.where(valid, mm, 0.0).astype(np.float32) for cause, mm in sigmas.items()}
     return replace(rec, reason=reason, cause_sigma_mm=sigmas), lost
 
 
@@ -106,23 +118,22 @@ def across_projectors(rec: Reconstruction) -> Reconstruction:
     valid = rec.valid & np.isfinite(rec.height_mm) & np.isfinite(rec.sigma_mm)
     if not valid.any():
         return rec
-    causes = dict(rec.cause_sigma_mm)
+    causes, nothing = dict(rec.cause_sigma_mm), np.zeros(valid.shape, np.float32)
     causes["mixed"] = np.where(
-        valid, np.maximum(causes["mixed"], _mixed(rec, valid)[0]), causes["mixed"]
+        valid, np.maximum(causes["mixed"], _mixed(rec, valid, nothing)[0]), causes["mixed"]
     )
     return replace(rec, cause_sigma_mm=causes)
 
 
-def _mixed(rec: Reconstruction, valid: Mask) -> tuple[Image, Image, Mask]:
-    """Sigma from differences to neighbours in mm; the part of it by which a pixel exceeds a region that is smoother,
-    else 0; and where neighbours do not differ; each (row, col)."""
-    deviation, noise_mm = _deviation(rec, valid)
-    own, sure, usual = (_beyond(deviation, k * noise_mm) for k in (NOISE, SURE_NOISE, USUAL_NOISE))
+def _mixed(rec: Reconstruction, valid: Mask, scale: Image) -> tuple[Image, Mask, Mask]:
+    """Sigma from differences to neighbours in mm; which pixels agree with no side of theirs, and are no part of a rough
+    region; and where neighbours do not differ; each (row, col). `scale` is mm per rad."""
+    most, side, noise_mm = _deviation(rec, valid)
+    own, usual = (_beyond(most, k * noise_mm) for k in (NOISE, USUAL_NOISE))
     region = cv2.medianBlur(usual, 5)
-    near = cv2.dilate(sure, np.ones((3, 3), np.uint8))
-    sigma = np.maximum(np.maximum(OWN * own, NEIGHBOUR * near), REGION * region)
-    outstanding = np.where(own > OUTSTANDING * cv2.blur(region, (7, 7)), OWN * own, 0.0)
-    return sigma, outstanding.astype(np.float32), valid & (sure <= 0.0)
+    outstanding = (own > MIXED_RAD * scale) & (own > OUTSTANDING * cv2.blur(region, (7, 7)))
+    outstanding &= _beyond(side, NOISE * noise_mm) > np.sqrt(DIM_RAD2) * scale
+    return np.maximum(OWN * own, REGION * region), valid & outstanding, valid & (own <= 0.0)
 
 
 def _beyond(value: Image, limit: Image) -> Image:
@@ -131,8 +142,9 @@ def _beyond(value: Image, limit: Image) -> Image:
     return left
 
 
-def _deviation(rec: Reconstruction, valid: Mask) -> tuple[Image, Image]:
-    """Largest difference to a valid neighbour beyond the local slope, and sensor noise around, (row, col) in mm."""
+def _deviation(rec: Reconstruction, valid: Mask) -> tuple[Image, Image, Image]:
+    """Largest difference to a valid neighbour beyond the local slope; the same for the three neighbours of one side, of
+    the side that differs least; and sensor noise around; (row, col) in mm."""
     middle = np.float32(np.median(rec.height_mm[valid]))
     height = np.where(valid, rec.height_mm - middle, np.float32(0.0))
     count = np.maximum(cv2.blur(valid.astype(np.float32), (3, 3)), np.float32(1e-6))
@@ -142,11 +154,16 @@ def _deviation(rec: Reconstruction, valid: Mask) -> tuple[Image, Image]:
     rows, columns = valid.shape
     around, known = np.pad(height, 1), np.pad(valid, 1)
     most = np.zeros_like(height)
+    sides = {side: np.zeros_like(height) for side in ((-1, 0), (1, 0), (0, -1), (0, 1))}
     for dy, dx in product((-1, 0, 1), repeat=2):
         there = np.s_[1 + dy : 1 + dy + rows, 1 + dx : 1 + dx + columns]
         apart = np.abs(around[there] - height - dy * down - dx * right)
         np.maximum(most, apart, out=most, where=known[there] & valid)
-    return most, np.sqrt(cv2.blur(variance, (3, 3)) / count)
+        apart[~known[there]] = np.inf
+        for side in {(dy, 0), (0, dx)} & sides.keys():
+            np.maximum(sides[side], apart, out=sides[side])
+    least = np.minimum.reduce(list(sides.values()))
+    return most, np.minimum(least, most), np.sqrt(cv2.blur(variance, (3, 3)) / count)
 
 
 def _gradient(image: NDArray[np.floating]) -> list[NDArray[np.floating]]:
@@ -157,11 +174,38 @@ def _gradient(image: NDArray[np.floating]) -> list[NDArray[np.floating]]:
     ]
 
 
-def _frequency(rec: Reconstruction, period_px: float) -> Image:
-    """Fringes per camera pixel, (row, col), at most 1."""
-    fringes = np.hypot(*_gradient(rec.phases[rec.axis].coordinate_px)) / period_px
-    clipped = np.clip(np.nan_to_num(fringes), 0.0, 1.0).astype(np.float32)
-    return np.asarray(cv2.medianBlur(clipped, 5), np.float32)
+def _fringes(rec: Reconstruction, period_px: float) -> tuple[Image, Image, Image]:
+    """Fringes per camera pixel of the surface around: down, right and along the steepest, (row, col), at most 1."""
+    parts = _gradient(rec.phases[rec.axis].coordinate_px / period_px)
+    parts.append(np.hypot(*parts))
+    down, right, steepest = (
+        np.asarray(cv2.medianBlur(np.clip(np.nan_to_num(part), -1.0, 1.0).astype(np.float32), 5))
+        for part in parts
+    )
+    return down, right, steepest
+
+
+def _turned_rad(signs: Signs, slope: list[Image]) -> Image:
+    """How far the gradient of brightness turns the phase, (row, col) in rad per px^2 of the blur's variance s^2.
+
+    Blurred fringes ``B cos(phi)`` have the phase ``phi + s^2 grad(phi) grad(B) / B``, to first order in s^2.
+    """
+    if signs.level is None:
+        return np.zeros(slope[0].shape, np.float32)
+    bright = np.maximum(np.nan_to_num(signs.level), 1e-9).astype(np.float32)
+    down, right = (cv2.Sobel(bright, cv2.CV_32F, *d, ksize=3) / 8.0 for d in ((0, 1), (1, 0)))
+    noise = SURE * NOISE_OF_SLOPE * np.hypot(*slope) * np.nan_to_num(signs.sigma_rad)
+    return TURN * _beyond((slope[0] * down + slope[1] * right) / bright, noise.astype(np.float32))
+
+
+def _blur_px2(signs: Signs, frequency: Image, smooth: Mask) -> float:
+    """Variance of the blur in px^2, from the modulation that the finest fringes lose, which contains the projector's blur."""
+    if not signs.visibility or signs.periods_px[0] < 2.0 * signs.periods_px[-1]:
+        return USUAL_BLUR_PX2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        left = np.log(signs.visibility[-1] / signs.visibility[0]) / (TURN * frequency) ** 2
+    left = left[smooth & np.isfinite(left)]
+    return max(LEAST_BLUR_PX2, -2.0 * float(np.median(left))) if left.size else USUAL_BLUR_PX2
 
 
 def _loss(signs: Signs, frequency: Image, smooth: Mask, valid: Mask) -> tuple[Image, float]:

@@ -9,6 +9,9 @@ from evaluation.scoring.error_budget import ErrorBudget
 from fringebench.diagnosis import Diagnosis
 from fringebench.pages.figure_tables import figure_table, number
 
+# Share of a region beyond its predicted noise that asks for an explanation.
+MANY_OUTLIERS = 0.01
+
 
 def fused_title(exposures: int, fusion: str) -> str:
     """Title of the second score table of a run."""
@@ -42,6 +45,30 @@ def score_table(score: evaluation.Score, title: str) -> Table:
     """One row per region: share measured, errors, and the standard deviation predicted."""
     figures = "pixels", "valid %", "bias µm", "RMS µm", "pred. µm", "p95 µm", "outl. %", "rend. ×"
     return figure_table(title, "region", figures, score_rows(score))
+
+
+def outliers_in_words(score: evaluation.Score) -> str | None:
+    """What the outliers of a scene with fringes are beyond, in one line; None where there are few or no causes to look for."""
+    if score.slopes or score.stereo:
+        return None
+    total = {label: r.total_outlier_fraction for label, r in score.regions.items()}
+    if any(share is not None for share in total.values()):
+        shares = ", ".join(
+            f"{label} {share:.2%}" for label, share in total.items() if share is not None
+        )
+        return f"beyond 5 sigma of all causes: {shares}"
+    sensor = {
+        label: region.outlier_fraction or 0.0
+        for label, region in score.regions.items()
+        if region.predicted_sd_mm is not None
+    }
+    worst = max(sensor, key=lambda label: sensor[label], default=None)
+    if worst is None or sensor[worst] < MANY_OUTLIERS:
+        return None
+    return (
+        f"beyond 5 sigma of the sensor's noise: up to {sensor[worst]:.2%} ({worst}); blur, mixed pixels and stray light are "
+        "predicted by fringebench decode --uncertainty by-cause"
+    )
 
 
 def feature_table(score: evaluation.Score) -> Table:

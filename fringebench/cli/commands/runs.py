@@ -42,14 +42,19 @@ def run(
         print_json(result.score.to_dict())
         return
     from fringebench.experiments.noise_summary import describe, describe_regions
-    from fringebench.pages.score_tables import extra_tables, fused_title, score_table
+    from fringebench.pages.score_tables import (
+        extra_tables,
+        fused_title,
+        outliers_in_words,
+        score_table,
+    )
 
     console = answer_console()
     fused = score_table(result.score, fused_title(len(result.stack.exposure_ms), fusion))
     print_figures([score_table(result.naive, NAIVE_TITLE), fused, *extra_tables(result.score)])
     said = describe(result.score.light) if result.score.light else describe_regions(result.score)
-    if said:
-        console.print(said, soft_wrap=True)
+    for line in filter(None, (said, outliers_in_words(result.score))):
+        console.print(line, soft_wrap=True)
     spent = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in result.seconds.items())
     say(f"files in {result.folder}  ({spent})")
 

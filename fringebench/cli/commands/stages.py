@@ -164,7 +164,7 @@ def decode_stack(
     saturation: reject; or ignore: clipped samples count as good.
     min_modulation_dn: Modulation below which a pixel is dark, DN.
     max_order_residual: Largest distance of a predicted order from a whole number, periods.
-    uncertainty: sensor; by-cause: look for mixed pixels and indirect light too, and reject what they spoil.
+    uncertainty: sensor; by-cause: predict blur, mixed pixels and indirect light too, and reject what they spoil.
     matcher: Two cameras without fringes: sgbm, bm.
     """
     check_outputs({"-o": output}, [stack])
@@ -244,15 +244,10 @@ def evaluate(
         print_json(score.to_dict())
         return
     from fringebench.experiments.noise_summary import describe_regions
-    from fringebench.pages.score_tables import extra_tables, score_table
+    from fringebench.pages.score_tables import extra_tables, outliers_in_words, score_table
 
     print_figures([score_table(score, escape(str(reconstruction))), *extra_tables(score)])
     if said := describe_regions(score):
         answer_console().print(said, soft_wrap=True)
-    beyond = [
-        f"{label} {region.total_outlier_fraction:.2%}"
-        for label, region in score.regions.items()
-        if region.total_outlier_fraction is not None
-    ]
-    if beyond:
-        answer_console().print(f"beyond 5 sigma of all causes: {', '.join(beyond)}", soft_wrap=True)
+    if beyond := outliers_in_words(score):
+        answer_console().print(beyond, soft_wrap=True)
