@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 
 import render
-from tests.faults.commands import SMALL
-
-Call = Callable[..., tuple[int, str, str]]
+from tests.commands import SMALL
+from tests.conftest import Call
 
 
 @pytest.fixture(scope="session")

@@ -15,8 +15,8 @@ from fringebench.output_folder import locked
 from scenes.files import exr
 from scenes.support.atomic_file import UNFINISHED, replacing
 from scenes.support.errors import DatasetError, FileError
+from tests.conftest import Call
 
-Call = Callable[..., tuple[int, str, str]]
 Disk = Callable[..., Path]
 
 

@@ -14,7 +14,7 @@ import pytest
 import scenes
 from scenes.files import exr
 from scenes.support.atomic_file import UNFINISHED, replacing
-from tests.faults.commands import ROOT, SMALL, finish, start
+from tests.commands import ROOT, SMALL, finish, start
 
 OLD, NEW = "the old file\n" * 1000, "the new file\n" * 1000
 # A process is killed at each of these moments while it replaces a file.

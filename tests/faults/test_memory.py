@@ -15,9 +15,9 @@ import scenes
 from scenes.files import exr
 from scenes.support import mapped, memory
 from scenes.support.errors import FileError, TooLargeError
-from tests.faults.commands import program
+from tests.commands import program
+from tests.conftest import Call
 
-Call = Callable[..., tuple[int, str, str]]
 GIB = 2**30
 
 

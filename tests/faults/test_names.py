@@ -3,7 +3,6 @@
 import ast
 import os
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -13,9 +12,9 @@ from fringebench.datasets.dataset_plan import DatasetPlan
 from fringebench.datasets.sample import Record
 from scenes.support.errors import DatasetError, SceneError
 from scenes.support.paths import as_file_name
-from tests.faults.commands import ROOT, SMALL, finish, start
+from tests.commands import ROOT, SMALL, finish, start
+from tests.conftest import Call
 
-Call = Callable[..., tuple[int, str, str]]
 ESCAPES = (
     "../../x",
     "/etc/x",

@@ -3,17 +3,16 @@
 import json
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import scenes
+from tests.conftest import Call
 from tests.evaluation.scoring.test_regions import REGION_KEYS
 
 SMALL = ["--set", "camera.resolution=[64,48]", "--set", "sampling.samples=4"]
-Call = Callable[..., tuple[int, str, str]]
 
 
 def test_run_leaves_every_file_and_prints_the_scores(call: Call, tmp_path: Path) -> None:

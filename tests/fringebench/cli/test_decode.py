@@ -1,16 +1,14 @@
 """The command `decode`: every choice reaches the decoder, and what is not known is said."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from scenes.acquisition.patterns import PhaseShift
+from tests.conftest import Call
 from tests.decode.synthetic import calibrated_stack, hills, rig
-
-Call = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture

@@ -3,16 +3,15 @@
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 import scenes
 from fringebench.cli.app import BROKEN_PIPE, INTERNAL_ERROR
+from tests.conftest import Call
 
 COMMAND = [sys.executable, "-m", "fringebench"]
-Call = Callable[..., tuple[int, str, str]]
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")

@@ -1,7 +1,6 @@
 """`import` on captures with planted faults, made from synthetic frames of known truth."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +11,8 @@ import tomli_w
 
 import decode
 from scenes import PhaseShift, Stack
+from tests.conftest import Call
 
-Call = Callable[..., tuple[int, str, str]]
 ROWS, COLUMNS = 120, 200
 SIZE = [1024, 768]
 STEPS = 4

@@ -20,9 +20,9 @@ from scenes.acquisition.sensor import SimpleSensor
 from scenes.files.capture import Capture
 from scenes.files.stack import Stack
 from scenes.support.safe_parse import parse_toml
+from tests.conftest import Call
 from tests.decode.synthetic import coordinates, hills, rig
 
-Call = Callable[..., tuple[int, str, str]]
 Manifest = dict[str, Any]
 Change = Callable[[Manifest], Any]
 SIZE = (200, 150)

@@ -1,7 +1,6 @@
 """Output files never replace an input or each other, and messages name the options of the command."""
 
 import shutil
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,8 +10,8 @@ from rich.table import Table
 
 import decode
 from fringebench.cli.terminal import print_figures
+from tests.conftest import Call
 
-Call = Callable[..., tuple[int, str, str]]
 SMALL = ["--set", "camera.resolution=[24,18]", "--set", "sampling.samples=2"]
 
 

@@ -1,7 +1,6 @@
 """The command `stereo`, on two synthetic cameras: files in, heights and JSON out."""
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,9 +15,8 @@ from scenes.acquisition.sensor import SimpleSensor
 from scenes.rig import opencv_calibration
 from scenes.rig.projectors import PinholeProjector
 from scenes.support.safe_parse import parse_toml
+from tests.conftest import Call
 from tests.decode.test_stereo_phase import BOTH, camera, look
-
-Call = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture

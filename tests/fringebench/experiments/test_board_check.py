@@ -1,12 +1,11 @@
 """A board's files read by two readers."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from PIL import Image
 
-Call = Callable[..., tuple[int, str, str]]
+from tests.conftest import Call
 
 HEAD = "%FSLAX46Y46*%%MOMM*%%TF.FileFunction,{},Top*%\n"
 FLASHES = (

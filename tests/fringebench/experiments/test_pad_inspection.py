@@ -1,7 +1,6 @@
 """Inspection of a rendered board, its budget and its gauge study, on a board of two chips."""
 
 import json
-from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,8 +14,8 @@ import render
 import scenes
 from fringebench.experiments.pad_inspection import gauge, inspect, pad_budget
 from scenes.support.errors import SceneError
+from tests.conftest import Call
 
-Call = Callable[..., tuple[int, str, str]]
 # Two projectors on either side, 10 um pixels, 3 x 2.25 mm.
 SETTINGS = {
     "camera.resolution": [300, 225],

@@ -1,7 +1,6 @@
 """--phase-error: light's own noise is brought down as far as asked, and every output says how far."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from fringebench.experiments.hdr_comparison import compare
 from fringebench.experiments.noise_summary import describe, figures
 from fringebench.pages.compare_page import compare_report
 from fringebench.verbs import run
+from tests.conftest import Call
 
 # Fringes four times as wide, which so few pixels still see.
 SMALL = {
@@ -29,7 +29,6 @@ SMALL = {
     "sampling.phase_error_rad": 0.05,
     "sensor.psf": "none",
 }
-Call = Callable[..., tuple[int, str, str]]
 SETTINGS = [f"--set={key}={value}" for key, value in SMALL.items() if "error" not in key]
 
 

@@ -1,6 +1,5 @@
 """A rig with a screen: commands that need a projector say so before any light is traced."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +14,7 @@ from fringebench.experiments.rigs.rig_twin import twin
 from scenes import Scene
 from scenes.scene_files import dumps, save
 from scenes.support.errors import DecodeError, SceneError
-
-Call = Callable[..., tuple[int, str, str]]
+from tests.conftest import Call
 
 
 def stack_of(scene: Scene) -> scenes.Stack:

@@ -2,7 +2,6 @@
 
 import json
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +12,7 @@ import scenes
 from fringebench.experiments.surface_methods import METHODS, SURFACES, Cell, MethodMap, map_scene
 from fringebench.pages.method_map_page import map_rows
 from scenes.support.errors import ScoreError
-
-Call = Callable[..., tuple[int, str, str]]
+from tests.conftest import Call
 
 
 def cells(found: MethodMap) -> dict[tuple[str, str], Cell]:

@@ -21,12 +21,12 @@ from fringebench.experiments.whole_run import FILES, middle_exposure_alone
 from scenes.acquisition.patterns import PhaseShift
 from scenes.shapes.solids import Plate
 from scenes.support.errors import DecodeError, FileError, RenderError
+from tests.conftest import Call
 from tests.decode.synthetic import calibrated_stack, hills, rig
 
 SMALL = {"camera.resolution": [24, 18], "sampling.samples": 2}
 # From below the plate the camera sees nothing lit: light is traced, and then no exposure suits it.
 DARK = SMALL | {"camera.pose.origin_mm": [0.0, 0.0, -300.0]}
-Call = Callable[..., tuple[int, str, str]]
 
 
 def contents(folder: Path) -> dict[str, bytes]:

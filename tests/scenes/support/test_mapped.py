@@ -16,7 +16,7 @@ import render
 import scenes
 from scenes.support import mapped, memory
 from scenes.support.errors import TooLargeError
-from tests.faults.commands import program
+from tests.commands import program
 from tests.scenes.files.test_exr import full_disk
 
 
