@@ -1,14 +1,25 @@
-"""The command line as a child process, with scenes small enough to be run many times."""
+"""Commands and programs as child processes, and the files of the project and of a folder."""
 
+import ast
 import os
 import subprocess
 import sys
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
+ROOMS = ("scenes", "render", "decode", "evaluation", "fringebench")
 SMALL = ("--set", "camera.resolution=[24,18]", "--set", "sampling.samples=2")
+
+
+class Done(NamedTuple):
+    """Exit status and output of a command."""
+
+    status: int
+    out: str
+    err: str
 
 
 def start(
@@ -28,15 +39,14 @@ def start(
     )
 
 
-def finish(process: subprocess.Popen[str], timeout_s: float = 600) -> tuple[int, str, str]:
-    """Exit status, standard output, standard error."""
+def finish(process: subprocess.Popen[str], timeout_s: float = 600) -> Done:
     try:
         out, err = process.communicate(timeout=timeout_s)
     except subprocess.TimeoutExpired:
         process.kill()
         process.communicate()
         raise
-    return process.returncode, out, err
+    return Done(process.returncode, out, err)
 
 
 def program(
@@ -52,3 +62,16 @@ def program(
         check=False,
         timeout=300,
     )
+
+
+def parsed_modules() -> Iterator[tuple[str, ast.Module]]:
+    """Every module of the rooms: its path from the root, and what Python's parser makes of it."""
+    for room in ROOMS:
+        for source in sorted((ROOT / room).rglob("*.py")):
+            yield source.relative_to(ROOT).as_posix(), ast.parse(source.read_text("utf-8"))
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """The bytes of every file below a folder, by its path there."""
+    files = (path for path in sorted(folder.rglob("*")) if path.is_file())
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}

@@ -10,8 +10,9 @@ import pytest
 
 import fringebench
 from fringebench.cli.app import main
+from tests.commands import Done
 
-Call = Callable[..., tuple[int, str, str]]
+Call = Callable[..., Done]
 
 
 @pytest.fixture(scope="session")
@@ -43,17 +44,16 @@ FLAGS = [
 
 @pytest.fixture
 def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Call:
-    """Run the command line in this process; returns exit status, stdout, stderr."""
+    """Run the command line in this process."""
 
-    def run(*words: object) -> tuple[int, str, str]:
+    def run(*words: object) -> Done:
         monkeypatch.setattr(sys, "argv", ["fringebench", *map(str, words)])
         try:
             main()
             status = 0
         except SystemExit as leaving:
             status = int(leaving.code or 0)
-        out, err = capsys.readouterr()
-        return status, out, err
+        return Done(status, *capsys.readouterr())
 
     return run
 

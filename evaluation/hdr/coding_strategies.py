@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from math import ceil, log2
 
 from decode.fusion.merging import MaxModulationOfRepeats
@@ -57,15 +58,6 @@ def _scaled(base: PhaseShift, relative: tuple[float, ...]) -> tuple[float, ...]:
     return tuple(r * min(base.periods_px) / NOMINAL_PX for r in relative)
 
 
-def _gray(base: PhaseShift, field_px: float) -> OnePatterns:
-    return _with_code(base, field_px, cells=2, xor=False)
-
-
-def _xor_gray(base: PhaseShift, field_px: float) -> OnePatterns:
-    # The last bit's stripes have four cells a period: as fine as the fringes.
-    return _with_code(base, field_px, cells=4, xor=True)
-
-
 def _with_code(base: PhaseShift, field_px: float, cells: int, xor: bool) -> OnePatterns:
     """The finest fringes, and a code of so many cells a fringe."""
     fine = min(base.periods_px)
@@ -103,8 +95,9 @@ CODINGS = tuple(
     for name, make, source in (
         ("n-step", _n_step, "the scene's own patterns: what codings are compared with"),
         ("heterodyne", _heterodyne, "Reich, Ritter & Thesing 1997"),
-        ("gray-code", _gray, "Sansoni, Carocci & Rodella 1999"),
-        ("xor-gray-code", _xor_gray, "Gupta et al. 2011"),
+        ("gray-code", partial(_with_code, cells=2, xor=False), "Sansoni, Carocci & Rodella 1999"),
+        # The last bit's stripes have four cells a period: as fine as the fringes.
+        ("xor-gray-code", partial(_with_code, cells=4, xor=True), "Gupta et al. 2011"),
         ("micro-phase-shift", _micro, "Gupta & Nayar 2012"),
         ("modulated-phase-shift", _modulated, "Chen, Seidel & Lensch 2008"),
         ("embedded-phase-shift", _embedded, "Moreno, Son & Taubin 2015"),

@@ -39,7 +39,9 @@ def github_annotations(result: Regression) -> Iterable[str]:
     shown; a notice when all passed.
     """
     for failure in result.failures():
-        title = _property(f"{failure.worst.case} / {failure.worst.region}")
+        # In a property, two more characters are markup than in the message.
+        title = _data(f"{failure.worst.case} / {failure.worst.region}")
+        title = title.replace(":", "%3A").replace(",", "%2C")
         yield f"::error title={title}::{_data(failure.sentence())}"
     if result.rows and result.passed:
         yield f"::notice title=fringebench::{_data(result.decoder)} passed {len(result.rows)} figures"
@@ -48,11 +50,6 @@ def github_annotations(result: Regression) -> Iterable[str]:
 def _data(text: str) -> str:
     """Text escaped for the message of a workflow command."""
     return text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
-
-
-def _property(text: str) -> str:
-    """Text escaped for a property of a workflow command."""
-    return _data(text).replace(":", "%3A").replace(",", "%2C")
 
 
 def append_history(result: Regression, path: str | Path) -> list[dict[str, Any]]:

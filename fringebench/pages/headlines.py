@@ -145,8 +145,7 @@ def _worst(score: evaluation.Score, ratios: Mapping[str, float]) -> str:
         f"{label} has an RMS error of {number(score.regions[label].rms_mm, 1e3, 0)} µm, {ratios[label]:.2g} × predicted"
         for label in ranked[:2]
     ]
-    if more := len(ranked) - 2 if len(ranked) > 2 else 0:
-        parts.append(
-            f"{more} more {'region exceeds' if more == 1 else 'regions exceed'} {TOLERATED:g} ×"
-        )
+    if (more := len(ranked) - 2) > 0:
+        exceed = "region exceeds" if more == 1 else "regions exceed"
+        parts.append(f"{more} more {exceed} {TOLERATED:g} ×")
     return "; ".join(parts)

@@ -1,7 +1,5 @@
 """Every way of calling the decoder gives full images: the textbook's 16 kinds of call, and more."""
 
-import subprocess
-import sys
 from typing import Any
 
 import numpy as np
@@ -12,6 +10,7 @@ from decode.fusion.interface import MaxModulation
 from scenes.acquisition.patterns import PhaseShift
 from scenes.rig.devices import LookAt
 from scenes.support import backend
+from tests.commands import program
 from tests.decode.synthetic import calibrated_stack, coordinates, hills, rig
 
 ROI = (5, 41, 9, 60)
@@ -70,6 +69,5 @@ def test_fresh_interpreter_needs_no_initialisation() -> None:
         "rec = decode.reconstruct(calibrated_stack(rig(), hills(), PhaseShift(periods_px=(16., 80.))))\n"
         "assert rec.valid.all() and abs(rec.height_mm - hills()).max() < 1e-3\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
+    done = program(code)
+    assert (done.returncode, done.stderr) == (0, "")

@@ -1,6 +1,5 @@
 """How planes reach the kernel: every type and layout, and no read past the end."""
 
-import subprocess
 import sys
 from dataclasses import replace
 from typing import Any
@@ -14,6 +13,7 @@ from decode.device import Device
 from scenes.acquisition.patterns import PhaseShift
 from scenes.rig.devices import LookAt
 from scenes.support.errors import DecodeError
+from tests.commands import program
 from tests.decode.synthetic import calibrated_stack, hills, rig
 
 
@@ -69,7 +69,7 @@ for name, size in itertools.product(("uint8", "uint16", "float32"), (67, 1000, 1
     for lanes in (device.plane(plane), device.plane(plane, device.dr.arange(device.types.UInt32, size))):
         assert (lanes + 1.0).numpy().sum() == 2 * size
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    done = program(code)
     assert done.returncode == 0, f"{done.stdout}status {done.returncode}: {done.stderr}"
 
 

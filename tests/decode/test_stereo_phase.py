@@ -30,6 +30,9 @@ def camera(x_mm: float, size: tuple[int, int] = (160, 120)) -> Pinhole:
     )
 
 
+EYES = camera(-8.0), camera(8.0)
+
+
 def surface(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return 1.5 + np.sin(x / 3.0) * np.cos(y / 4.0)
 
@@ -45,27 +48,36 @@ def heights(device: Pinhole) -> np.ndarray:
     return height
 
 
-def look(
-    device: Pinhole, patterns: PhaseShift | GrayCode, sigma_dn: float, seed: int
-) -> tuple[Stack, np.ndarray]:
-    geometry = device.projection()
-    height = heights(device)
-    at = PROJECTOR.project(geometry.points_at(height))[0]
+def seen(
+    device: Pinhole, height: np.ndarray, patterns: PhaseShift | GrayCode, sigma_dn: float, seed: int
+) -> Stack:
+    """Frames of a surface whose height in each pixel is given."""
+    at = PROJECTOR.project(device.projection().points_at(height))[0]
     shown = patterns.frames()
     rng = np.random.default_rng(seed)
     light = np.stack([patterns.commanded(f, at[..., int(f.axis == "row")]) for f in shown])
     noisy = 40.0 + 160.0 * light + rng.normal(0.0, sigma_dn, light.shape)
-    frames = noisy[None].astype(np.float32)
     sensor = SimpleSensor(bits=0, sigma_dn=max(sigma_dn, 1e-3))
-    return Stack(frames, shown, (1.0,), sensor), height
+    return Stack(noisy[None].astype(np.float32), shown, (1.0,), sensor)
+
+
+def look(
+    device: Pinhole, patterns: PhaseShift | GrayCode, sigma_dn: float, seed: int
+) -> tuple[Stack, np.ndarray]:
+    """What a camera sees of the surface: frames and heights."""
+    height = heights(device)
+    return seen(device, height, patterns, sigma_dn, seed), height
+
+
+def views(patterns: PhaseShift | GrayCode, sigma_dn: float) -> list[tuple[Stack, np.ndarray]]:
+    return [look(eye, patterns, sigma_dn, seed) for seed, eye in enumerate(EYES)]
 
 
 @pytest.mark.parametrize("axes", [("column",), ("row",), ("column", "row")])
 def test_noise_free_stereo_finds_the_surface(axes: tuple[str, ...]) -> None:
     patterns = BOTH.model_copy(update={"axes": axes})
-    eyes = camera(-8.0), camera(8.0)
-    (left, height), (right, _) = (look(eye, patterns, 0.0, 0) for eye in eyes)
-    rec = stereo(left, right, eyes, HEIGHTS)
+    (left, height), (right, _) = views(patterns, 0.0)
+    rec = stereo(left, right, EYES, HEIGHTS)
     assert rec.valid.mean() > 0.7
     error = (rec.height_mm - height)[rec.valid]
     # The right map is read between its pixels, 0.1 mm apart on a surface whose curvature is below 0.11 / mm: bilinear
@@ -75,9 +87,8 @@ def test_noise_free_stereo_finds_the_surface(axes: tuple[str, ...]) -> None:
 
 
 def test_sigma_of_stereo_is_its_scatter() -> None:
-    eyes = camera(-8.0), camera(8.0)
-    (left, height), (right, _) = (look(eye, BOTH, 2.0, seed) for seed, eye in enumerate(eyes))
-    rec = stereo(left, right, eyes, HEIGHTS)
+    (left, height), (right, _) = views(BOTH, 2.0)
+    rec = stereo(left, right, EYES, HEIGHTS)
     ratio = ((rec.height_mm - height) / rec.sigma_mm)[rec.valid]
     # Reading between four right pixels averages their noise: weights' squares sum to between 1/4 and 1, 4/9 on average.
     low, high = np.sqrt((1.0 + 0.25) / 2.0), 1.0
@@ -86,10 +97,9 @@ def test_sigma_of_stereo_is_its_scatter() -> None:
 
 
 def test_gray_code_is_enough_for_stereo() -> None:
-    eyes = camera(-8.0), camera(8.0)
     code = GrayCode(axes=("column", "row"), bits=(9, 9))
-    (left, height), (right, _) = (look(eye, code, 1.0, seed) for seed, eye in enumerate(eyes))
-    rec = stereo(left, right, eyes, HEIGHTS)
+    (left, height), (right, _) = views(code, 1.0)
+    rec = stereo(left, right, EYES, HEIGHTS)
     assert rec.valid.mean() > 0.4
     # A cell of 1 px on either side, 0.1 mm on the surface, at a base to height of 16 to 60.
     assert np.median(np.abs(rec.height_mm - height)[rec.valid]) < 0.1 * 60.0 / 16.0
@@ -105,9 +115,8 @@ def test_gray_code_is_enough_for_stereo() -> None:
     ],
 )
 def test_impossible_stereo_is_refused(change: dict[str, object], said: str) -> None:
-    eyes = camera(-8.0), camera(8.0)
-    (left, _), (right, _) = (look(eye, BOTH, 0.0, 0) for eye in eyes)
-    keys = {"cameras": eyes, "heights_mm": HEIGHTS} | change
+    (left, _), (right, _) = views(BOTH, 0.0)
+    keys = {"cameras": EYES, "heights_mm": HEIGHTS} | change
     with pytest.raises(DecodeError, match=said):
         stereo(left, right, **keys)  # type: ignore[arg-type]
 
@@ -115,27 +124,24 @@ def test_impossible_stereo_is_refused(change: dict[str, object], said: str) -> N
 def test_images_beyond_memory_are_refused_with_their_number_of_pixels(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    eyes = camera(-8.0), camera(8.0)
-    (left, _), (right, _) = (look(eye, BOTH, 0.0, 0) for eye in eyes)
+    (left, _), (right, _) = views(BOTH, 0.0)
     monkeypatch.setattr(memory, "available_bytes", lambda: 1)
     pixels = left.frames[0, 0].size + right.frames[0, 0].size
     with pytest.raises(TooLargeError, match=f"stereo of {pixels} pixels"):
-        stereo(left, right, eyes, HEIGHTS)
+        stereo(left, right, EYES, HEIGHTS)
 
 
 def test_stacks_of_different_patterns_are_refused() -> None:
-    eyes = camera(-8.0), camera(8.0)
-    left, _ = look(eyes[0], BOTH, 0.0, 0)
-    right, _ = look(eyes[1], PhaseShift(steps=3, periods_px=(16.0, 512.0)), 0.0, 0)
+    left, _ = look(EYES[0], BOTH, 0.0, 0)
+    right, _ = look(EYES[1], BOTH.model_copy(update={"steps": 3}), 0.0, 0)
     with pytest.raises(DecodeError, match="different patterns"):
-        stereo(left, right, eyes, HEIGHTS)
+        stereo(left, right, EYES, HEIGHTS)
 
 
 def test_region_has_the_heights_of_the_whole_image() -> None:
-    eyes = camera(-8.0), camera(8.0)
-    (left, _), (right, _) = (look(eye, BOTH, 1.0, seed) for seed, eye in enumerate(eyes))
+    (left, _), (right, _) = views(BOTH, 1.0)
     roi = (30, 90, 40, 120)
-    whole, part = stereo(left, right, eyes, HEIGHTS), stereo(left, right, eyes, HEIGHTS, roi=roi)
+    whole, part = stereo(left, right, EYES, HEIGHTS), stereo(left, right, EYES, HEIGHTS, roi=roi)
     inside = np.s_[roi[0] : roi[1], roi[2] : roi[3]]
     assert part.valid.sum() == part.valid[inside].sum() > 0.8 * 60 * 80
     both = whole.valid & part.valid
@@ -146,32 +152,23 @@ def test_region_has_the_heights_of_the_whole_image() -> None:
 
 def test_steps_and_occlusions_leave_no_wrong_heights() -> None:
     """A block of 2 mm on a plane: its edges jump, and its side hides a strip from one camera."""
-    eyes = camera(-8.0), camera(8.0)
-    stacks, truth = [], None
-    for seed, eye in enumerate(eyes):
+    stacks, heights_mm = [], []
+    for seed, eye in enumerate(EYES):
         geometry = eye.projection()
-        origin, direction = geometry.rays(geometry.pixel_centres())
-        top = geometry.ray_points(origin, direction, 2.0)
-        height = np.where((np.abs(top[..., 0]) < 2.0) & (np.abs(top[..., 1]) < 2.0), 2.0, 0.0)
-        truth = height if truth is None else truth
-        at = PROJECTOR.project(geometry.points_at(height))[0]
-        light = np.stack([BOTH.commanded(f, at[..., int(f.axis == "row")]) for f in BOTH.frames()])
-        noise = np.random.default_rng(seed).normal(0.0, 1.0, light.shape)
-        frames = (40.0 + 160.0 * light + noise)[None].astype(np.float32)
-        sensor = SimpleSensor(bits=0, sigma_dn=1.0)
-        stacks.append(Stack(frames, BOTH.frames(), (1.0,), sensor))
-    rec = stereo(stacks[0], stacks[1], eyes, HEIGHTS)
-    assert truth is not None
+        top = geometry.ray_points(*geometry.rays(geometry.pixel_centres()), 2.0)
+        inside = (np.abs(top[..., 0]) < 2.0) & (np.abs(top[..., 1]) < 2.0)
+        heights_mm.append(np.where(inside, 2.0, 0.0))
+        stacks.append(seen(eye, heights_mm[-1], BOTH, 1.0, seed))
+    rec = stereo(stacks[0], stacks[1], EYES, HEIGHTS)
     assert rec.valid.mean() > 0.7
-    error = np.abs(rec.height_mm - truth)
+    error = np.abs(rec.height_mm - heights_mm[0])
     # Six sigma; of the rest, right pixels across an edge mix two surfaces, one pixel wide around the block.
     wrong = rec.valid & (error > 6.0 * rec.sigma_mm)
     assert wrong.mean() < 0.005
 
 
 def test_progress_ends_at_one_and_never_falls() -> None:
-    eyes = camera(-8.0), camera(8.0)
-    (left, _), (right, _) = (look(eye, BOTH, 0.0, 0) for eye in eyes)
+    (left, _), (right, _) = views(BOTH, 0.0)
     shares: list[float] = []
-    stereo(left, right, eyes, HEIGHTS, progress=shares.append)
+    stereo(left, right, EYES, HEIGHTS, progress=shares.append)
     assert shares == sorted(shares) and shares[-1] == pytest.approx(1.0)

@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-ROOMS = ("scenes", "render", "decode", "evaluation", "fringebench")
+from tests.commands import ROOMS
+
 # Annotations that are arrays, and the types that hold the arrays of a capture.
 ARRAYS = re.compile(r"\b(?:ndarray|NDArray|ArrayLike|Stack|Transport|Truth|Reconstruction)\b")
 MIN_FRACTION = 0.9

@@ -8,19 +8,14 @@ from pathlib import Path
 
 import pytest
 
-DOCS = Path(__file__).parents[2] / "docs"
+from tests.commands import ROOMS, ROOT
+
+DOCS = ROOT / "docs"
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 PAGES = sorted(page for page in DOCS.glob("*.md") if "\n>>> " in page.read_text("utf-8"))
-ROOMS = [
-    "scenes",
-    "render",
-    "decode",
-    "evaluation",
-    pytest.param("fringebench", marks=pytest.mark.slow),
-]
 
 
-@pytest.mark.parametrize("room", ROOMS)
+@pytest.mark.parametrize("room", [*ROOMS[:-1], pytest.param(ROOMS[-1], marks=pytest.mark.slow)])
 def test_examples_in_docstrings_work(room: str) -> None:
     runner = doctest.DocTestRunner(optionflags=FLAGS)
     said: list[str] = []

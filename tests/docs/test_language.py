@@ -9,17 +9,9 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
-ROOMS = (
-    "scenes",
-    "render",
-    "decode",
-    "evaluation",
-    "fringebench",
-    "benchmarks",
-    "adapters",
-    "tests",
-)
+from tests.commands import ROOMS, ROOT
+
+FOLDERS = (*ROOMS, "benchmarks", "adapters", "tests")
 INSTEAD = {
     r"thrice": "three times",
     r"anew": "again",
@@ -56,7 +48,7 @@ def _texts() -> Iterator[Path]:
     yield from sorted(ROOT.glob("*.md"))
     yield from sorted((ROOT / "docs").rglob("*.md"))
     yield from sorted((ROOT / "docs").rglob("*.py"))
-    for room in ROOMS:
+    for room in FOLDERS:
         for ending in ("py", "toml", "j2"):
             # This file is made of the words.
             yield from sorted(set((ROOT / room).rglob(f"*.{ending}")) - {Path(__file__)})
@@ -69,7 +61,7 @@ def test_word_list_matches_its_own_examples() -> None:
         assert not WORD.search(said), said
 
 
-@pytest.mark.parametrize("folder", ["docs", *ROOMS, "."])
+@pytest.mark.parametrize("folder", ["docs", *FOLDERS, "."])
 def test_texts_use_plain_words(folder: str) -> None:
     found = []
     for path in _texts():

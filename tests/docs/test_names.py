@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+from tests.commands import ROOMS, ROOT
+
 PAGES = [*sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
-ROOMS = ("scenes", "render", "decode", "evaluation", "fringebench")
 # A dotted name of a room; in a path, a file name or an address it is none.
 NAME = re.compile(rf"(?<![\w./\"'-])(?:{'|'.join(ROOMS)})(?:\.[A-Za-z_]\w*)+(?![\w./-]*[/\w])")
 FOLDERS = ("adapters", "benchmarks", "docs", "tests", *ROOMS)

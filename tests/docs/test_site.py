@@ -10,10 +10,9 @@ from pathlib import Path
 import pytest
 
 import scenes
+from tests.commands import ROOMS, ROOT
 
-ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
-ROOMS = ("scenes", "render", "decode", "evaluation", "fringebench")
 # What a browser loads by itself: scripts, styles, pictures, frames; a link that is clicked is not.
 LOADED = re.compile(
     r"""<(?:script|img|iframe|source|video)[^>]*\ssrc=["'](?:https?:)?//|"""

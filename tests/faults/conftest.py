@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import render
-from tests.commands import SMALL
+from tests.commands import SMALL, Done
 from tests.conftest import Call
 
 
@@ -22,7 +22,7 @@ def transport(small_run: Path) -> render.Transport:
 def call(call: Call) -> Call:
     """Run the command line, on a small scene with `small`."""
 
-    def command(*words: str | Path, small: bool = False) -> tuple[int, str, str]:
+    def command(*words: str | Path, small: bool = False) -> Done:
         return call(*words, *(SMALL if small else ()))
 
     return command

@@ -15,17 +15,10 @@ from fringebench.output_folder import locked
 from scenes.files import exr
 from scenes.support.atomic_file import UNFINISHED, replacing
 from scenes.support.errors import DatasetError, FileError
+from tests.commands import contents
 from tests.conftest import Call
 
 Disk = Callable[..., Path]
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {
-        str(path.relative_to(folder)): path.read_bytes()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
 
 
 def fill(folder: Path, leave_kib: int) -> None:

@@ -1,7 +1,6 @@
 """kill -9 at any moment: each file is the old or the complete new one, and leftovers are removed by the next write."""
 
 import ast
-import os
 import random
 import subprocess
 import sys
@@ -14,7 +13,7 @@ import pytest
 import scenes
 from scenes.files import exr
 from scenes.support.atomic_file import UNFINISHED, replacing
-from tests.commands import ROOT, SMALL, finish, start
+from tests.commands import SMALL, contents, finish, parsed_modules, program, start
 
 OLD, NEW = "the old file\n" * 1000, "the new file\n" * 1000
 # A process is killed at each of these moments while it replaces a file.
@@ -50,8 +49,8 @@ for name, code in {moments!r}.items():
         os._exit(0)
     assert os.WTERMSIG(os.waitpid(child, 0)[1]) == signal.SIGKILL, name
 """
-    env = os.environ | {"PYTHONPATH": str(ROOT)}
-    subprocess.run([sys.executable, "-c", script], env=env, timeout=300, check=True)
+    done = program(script)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="fork")
@@ -97,32 +96,24 @@ APART = {
 def test_every_file_is_written_under_a_temporary_name() -> None:
     """Each write goes to a path that `replacing` gave, or the tests above say nothing about that command."""
     found = []
-    for package in ("scenes", "render", "decode", "evaluation", "fringebench"):
-        for source in sorted((ROOT / package).rglob("*.py")):
-            name = str(source.relative_to(ROOT))
-            for node in ast.walk(ast.parse(source.read_text("utf-8"))):
-                if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute):
-                    continue
-                method, owner = node.func.attr, node.func.value
-                if method == "open" and any(
-                    isinstance(a, ast.Constant) and str(a.value)[:1] in "wax" for a in node.args[:1]
-                ):
+    for name, tree in parsed_modules():
+        for node in ast.walk(tree):
+            if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute):
+                continue
+            method, owner = node.func.attr, node.func.value
+            if method == "open" and any(
+                isinstance(a, ast.Constant) and str(a.value)[:1] in "wax" for a in node.args[:1]
+            ):
+                found.append((name, ast.unparse(node)))
+            if method in ("write_text", "write_bytes", "savefig", "imwrite", "tofile"):
+                target = owner if method.startswith("write") else node.args[0]
+                if ast.unparse(target) not in STAGED and method not in APART.get(name, set()):
                     found.append((name, ast.unparse(node)))
-                if method in ("write_text", "write_bytes", "savefig", "imwrite", "tofile"):
-                    target = owner if method.startswith("write") else node.args[0]
-                    if ast.unparse(target) not in STAGED and method not in APART.get(name, set()):
-                        found.append((name, ast.unparse(node)))
     # Labels of a split go piece by piece to the staging folder of the store, a decoder's stack to a temporary folder.
     assert found == [
         ("fringebench/datasets/coco_files.py", "path.open('w', encoding='utf-8')"),
         ("fringebench/gate/decoders.py", "(place / 'stack').open('xb')"),
     ]
-
-
-def states(folder: Path) -> dict[str, bytes]:
-    return {
-        str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()
-    }
 
 
 COMMANDS: dict[str, tuple[str, ...]] = {
@@ -145,7 +136,7 @@ def test_commands_killed_at_random_lose_nothing_and_can_be_repeated(
     status, _, err = finish(start(*words(0), folder=tmp_path))
     took = time.perf_counter() - began
     assert status == 0, err
-    whole = {0: states(tmp_path)}
+    whole = {0: contents(tmp_path)}
     rng = random.Random(command)
     for seed in (1, 2):
         if command == "dataset":
@@ -156,7 +147,7 @@ def test_commands_killed_at_random_lose_nothing_and_can_be_repeated(
         time.sleep(took * rng.uniform(0.4, 1.0))
         process.kill()
         finish(process)
-        after = states(tmp_path)
+        after = contents(tmp_path)
         assert not [n for n in whole[0].keys() - after.keys() if command in ("run", "stages")]
         for name, content in after.items():
             if UNFINISHED in name or name.startswith((".staging", "records")):
@@ -165,7 +156,7 @@ def test_commands_killed_at_random_lose_nothing_and_can_be_repeated(
                 read_whole(tmp_path / name)
     status, _, err = finish(start(*words(0), folder=tmp_path))
     assert status == 0, err
-    again = states(tmp_path)
+    again = contents(tmp_path)
     assert again.keys() == whole[0].keys()
     for name in again:
         if not name.endswith((".html", ".parquet")):

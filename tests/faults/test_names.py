@@ -12,7 +12,7 @@ from fringebench.datasets.dataset_plan import DatasetPlan
 from fringebench.datasets.sample import Record
 from scenes.support.errors import DatasetError, SceneError
 from scenes.support.paths import as_file_name
-from tests.commands import ROOT, SMALL, finish, start
+from tests.commands import SMALL, contents, finish, parsed_modules, start
 from tests.conftest import Call
 
 ESCAPES = (
@@ -89,27 +89,26 @@ PLAIN_YAML = {
 def test_no_code_from_a_file_is_executed() -> None:
     """No eval, no pickle, no shell anywhere in the packages."""
     found = []
-    for package in ("scenes", "render", "decode", "evaluation", "fringebench"):
-        for source in sorted((ROOT / package).rglob("*.py")):
-            for node in ast.walk(ast.parse(source.read_text("utf-8"))):
-                where = f"{source.relative_to(ROOT)}:{getattr(node, 'lineno', 0)}"
-                if isinstance(node, (ast.Import, ast.ImportFrom)):
-                    names = [a.name for a in node.names] + [getattr(node, "module", None) or ""]
-                    loads = [n for n in names if n.split(".")[0] in LOADS_CODE]
-                    own = loads == ["pickle"] and where.split(":", maxsplit=1)[0] in OWN_PICKLES
-                    found += [] if own else [(where, n) for n in loads]
-                if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "yaml":
-                    found += [] if node.attr in PLAIN_YAML else [(where, f"yaml.{node.attr}")]
-                if not isinstance(node, ast.Call):
-                    continue
-                called = ast.unparse(node.func)
-                keywords = {k.arg: ast.unparse(k.value) for k in node.keywords}
-                if called in RUNS_TEXT or called in ("os.system", "os.popen"):
-                    found.append((where, called))
-                if called == "np.load" and keywords.get("allow_pickle") != "False":
-                    found.append((where, "np.load"))
-                if keywords.get("shell", "False") != "False":
-                    found.append((where, "shell"))
+    for name, tree in parsed_modules():
+        for node in ast.walk(tree):
+            where = f"{name}:{getattr(node, 'lineno', 0)}"
+            if isinstance(node, (ast.Import, ast.ImportFrom)):
+                names = [a.name for a in node.names] + [getattr(node, "module", None) or ""]
+                loads = [n for n in names if n.split(".")[0] in LOADS_CODE]
+                own = loads == ["pickle"] and name in OWN_PICKLES
+                found += [] if own else [(where, n) for n in loads]
+            if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "yaml":
+                found += [] if node.attr in PLAIN_YAML else [(where, f"yaml.{node.attr}")]
+            if not isinstance(node, ast.Call):
+                continue
+            called = ast.unparse(node.func)
+            keywords = {k.arg: ast.unparse(k.value) for k in node.keywords}
+            if called in RUNS_TEXT or called in ("os.system", "os.popen"):
+                found.append((where, called))
+            if called == "np.load" and keywords.get("allow_pickle") != "False":
+                found.append((where, "np.load"))
+            if keywords.get("shell", "False") != "False":
+                found.append((where, "shell"))
     assert found == []
 
 
@@ -157,9 +156,9 @@ def test_locales_change_no_byte_and_no_answer(tmp_path: Path) -> None:
         assert "step_height" in out
         (where,) = folder.iterdir()
         results[name] = {
-            p.name: p.read_bytes()
-            for p in where.iterdir()
-            if p.suffix in (".exr", ".toml", ".json", ".ply")
+            k: v
+            for k, v in contents(where).items()
+            if k.endswith((".exr", ".toml", ".json", ".ply"))
         }
     for name in LOCALES:
         assert results[name] == results["plain"], name

@@ -30,6 +30,14 @@ def python_handles_ctrl_c() -> Iterator[None]:
     signal.signal(signal.SIGINT, before)
 
 
+@pytest.fixture
+def now(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """The time of a clock that only the test moves."""
+    clock = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: clock[0])
+    return clock
+
+
 def console(terminal: bool) -> Console:
     return Console(file=io.StringIO(), force_terminal=terminal, width=80)
 
@@ -41,10 +49,8 @@ def said(where: Console) -> str:
 
 @pytest.mark.parametrize(("mode", "lines"), [(Mode.AUTO, 2), (Mode.NONE, 0)])
 def test_pipe_gets_lines_only_when_the_work_is_long(
-    mode: Mode, lines: int, monkeypatch: pytest.MonkeyPatch
+    mode: Mode, lines: int, now: list[float]
 ) -> None:
-    now = [0.0]
-    monkeypatch.setattr(time, "monotonic", lambda: now[0])
     where = console(terminal=False)
     with Steps(where, mode).step("short") as done:
         done(0.5)
@@ -59,9 +65,7 @@ def test_pipe_gets_lines_only_when_the_work_is_long(
     assert len(said(where).splitlines()) == lines
 
 
-def test_many_short_steps_are_long_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    now = [0.0]
-    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+def test_many_short_steps_are_long_work(now: list[float]) -> None:
     where = console(terminal=False)
     steps = Steps(where)
     for i in range(45):
@@ -71,11 +75,11 @@ def test_many_short_steps_are_long_work(monkeypatch: pytest.MonkeyPatch) -> None
     assert said(where).splitlines() == [f"case {i}: started" for i in range(30, 45, 3)]
 
 
-def test_no_color_leaves_no_escape_codes_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_color_leaves_no_escape_codes_on_a_terminal(
+    now: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("NO_COLOR", "1")
     where = Console(file=io.StringIO(), force_terminal=True, width=80, color_system=None)
-    now = [0.0]
-    monkeypatch.setattr(time, "monotonic", lambda: now[0])
     with Steps(where).step("work") as done:
         now[0] += progress.PIPED_S
         done(0.5)
@@ -96,9 +100,7 @@ def test_terminal_shows_a_bar_while_the_step_runs() -> None:
     assert steps.seconds["work"] > 0.5
 
 
-def test_plain_lines_give_share_and_time_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    now = [100.0]
-    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+def test_plain_lines_give_share_and_time_left(now: list[float]) -> None:
     where = console(terminal=False)
     with Steps(where, Mode.PLAIN).step("work") as done:
         for share in (0.1, 0.2, 0.3, 0.4):
@@ -113,13 +115,11 @@ def test_plain_lines_give_share_and_time_left(monkeypatch: pytest.MonkeyPatch) -
     ]
 
 
-def test_speed_excludes_what_an_earlier_run_did(monkeypatch: pytest.MonkeyPatch) -> None:
-    now = [0.0]
-    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+def test_speed_excludes_what_an_earlier_run_did(now: list[float]) -> None:
     where = console(terminal=False)
     with Steps(where, Mode.PLAIN).shown("samples", resumes=True) as show:
         show(0.5, "50 of 100")
-        now[0] = 10.0
+        now[0] += 10.0
         show(0.6, "60 of 100")
     assert said(where).splitlines()[1] == "samples: 60 %, 60 of 100, about 40 s left"
 

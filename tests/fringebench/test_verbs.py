@@ -2,14 +2,13 @@
 
 import inspect
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 import fringebench
 from fringebench.output_folder import write_json
+from tests.commands import program
 
 VERBS = ("run", "compare", "regress", "budget", "dataset", "accept")
 
@@ -39,7 +38,8 @@ def test_verb_is_documented_and_typed(name: str) -> None:
 def _loaded(code: str) -> set[str]:
     """Top-level packages that are loaded after a program has run."""
     code += "; import sys; print({name.partition('.')[0] for name in sys.modules})"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = program(code)
+    assert done.returncode == 0, done.stderr
     return set(done.stdout.splitlines()[-1].strip("{}").replace("'", "").split(", "))
 
 

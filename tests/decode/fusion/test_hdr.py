@@ -19,15 +19,8 @@ from scenes.files.stack import Stack
 from scenes.support.errors import DecodeError
 
 Map = NDArray[np.float64]
-HDR = (
-    "brightest-unsaturated",
-    "max-modulation",
-    "radiance-merge",
-    "phasor-sum",
-    "inverse-variance",
-    "masked-least-squares",
-    "censored-ml",
-)
+# All that use several exposures of a pixel, or choose one for each.
+HDR = [rule for rule in decode.rules() if rule not in ("single", "auto-exposure")]
 # Linear heights of 1 px = 1 rad: sigma_mm is then the predicted sigma of the phase.
 PERIOD_PX, C_PX_PER_MM = 16.0, 16.0 / (2.0 * np.pi)
 

@@ -87,9 +87,12 @@ def test_pixel_is_chosen_by_mouse_and_by_keyboard(tab: Any, tmp_path: Path) -> N
     tab.set_viewport_size({"width": 1000, "height": 900})
     tab.emulate_media(color_scheme="dark")
     tab.goto(page.as_uri())
-    tab.wait_for_function(
-        "() => document.querySelector('.pixel table').innerText.includes('(8, 6)')"
-    )
+    table = "document.querySelector('.pixel table')"
+
+    def shows(pixel: str) -> None:
+        tab.wait_for_function(f"() => {table}.innerText.includes('{pixel}')")
+
+    shows("(8, 6)")
     cursors = "() => [...document.querySelectorAll('canvas')].map((map) => map.toDataURL())"
     before = tab.evaluate(cursors)
     # Height, first frame, reasons.
@@ -97,18 +100,14 @@ def test_pixel_is_chosen_by_mouse_and_by_keyboard(tab: Any, tmp_path: Path) -> N
     canvas = tab.locator("canvas").first
     box = canvas.bounding_box()
     canvas.click(position={"x": box["width"] * 2.5 / 16, "y": box["height"] * 3.5 / 12})
-    tab.wait_for_function(
-        "() => document.querySelector('.pixel table').innerText.includes('(2, 3)')"
-    )
+    shows("(2, 3)")
     # The cursors of all maps follow.
     assert all(new != old for new, old in zip(tab.evaluate(cursors), before, strict=True))
     # The click gave the map the keyboard.
     assert tab.evaluate("() => document.activeElement.tagName") == "CANVAS"
     canvas.press("ArrowRight")
     canvas.press("ArrowDown")
-    tab.wait_for_function(
-        "() => document.querySelector('.pixel table').innerText.includes('(3, 4)')"
-    )
+    shows("(3, 4)")
     tab.locator("summary").click()
     cells = tab.locator(".numbers tbody td").all_inner_texts()
     wanted = [int(v) for v in stack.frames[:, :, 4, 3].T.ravel()]

@@ -1,8 +1,6 @@
 """Figures say what was measured, in the units they name."""
 
 import io
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +16,7 @@ from evaluation.output import plots
 from evaluation.output.scene_pictures import scene_picture
 from scenes.files.truth_maps import Truth
 from scenes.support.errors import FileError, ScoreError
+from tests.commands import program
 from tests.evaluation.synthetic_truth import Floats, Grid, TruthMaker
 
 SHAPE = (60, 80)
@@ -77,8 +76,7 @@ def test_heights_alone_are_drawn(measured: Measured) -> None:
 
 def test_drawing_leaves_pyplot_s_global_state_alone() -> None:
     code = "import sys, evaluation.output.plots; print('matplotlib.pyplot' in sys.modules)"
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert out.stdout.strip() == "False"
+    assert program(code).stdout.strip() == "False"
 
 
 def test_error_map_is_in_micrometres_and_symmetric_about_zero(measured: Measured) -> None:

@@ -1,14 +1,13 @@
 """The command line as a user meets it: results, files, messages, exit status."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import scenes
+from tests.commands import program
 from tests.conftest import Call
 from tests.evaluation.scoring.test_regions import REGION_KEYS
 
@@ -123,5 +122,4 @@ def test_doctor_finds_this_machine_healthy(call: Call) -> None:
 def test_listing_scenes_imports_no_renderer() -> None:
     code = "import sys; sys.argv=['fringebench','scenes']; from fringebench.cli.app import main\n"
     code += "try: main()\nexcept SystemExit: pass\nprint('mitsuba' in sys.modules, 'drjit' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "False False"
+    assert program(code).stdout.splitlines()[-1] == "False False"

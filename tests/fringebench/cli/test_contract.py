@@ -3,9 +3,8 @@
 import dataclasses
 import json
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,35 +15,24 @@ import scenes
 from fringebench.gate.decoders import resolve
 from scenes import PhaseShift, Stack
 from scenes.support.errors import FileError, OutsideDecoderError
+from tests.conftest import Call
 from tests.decode.synthetic import calibrated_stack, hills, rig
 
 SMALL = ("--set", "camera.resolution=[64,48]", "--set", "sampling.samples=2")
 
 
-class Done(NamedTuple):
-    """Status and output of a command."""
-
-    returncode: int
-    stdout: str
-    stderr: str
-
-
-Run = Callable[..., Done]
-
-
 @pytest.fixture
-def run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: Callable[..., tuple[int, str, str]]
-) -> Run:
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: Call) -> Call:
+    """The command line in an empty folder."""
     monkeypatch.chdir(tmp_path)
-    return lambda *words: Done(*call(*words))
+    return call
 
 
-def test_every_stage_answers_in_json(run: Run, tmp_path: Path) -> None:
+def test_every_stage_answers_in_json(run: Call, tmp_path: Path) -> None:
     def answer(*words: str) -> Any:
         done = run(*words, "--json")
-        assert done.returncode == 0, done.stderr
-        return json.loads(done.stdout)
+        assert done.status == 0, done.err
+        return json.loads(done.out)
 
     traced = answer("render", "step", *SMALL, "--seed", "3", "--truth", "truth.exr")
     assert traced == {"transport": "transport.exr", "truth": "truth.exr", "samples": 2, "depth": 3}
@@ -57,35 +45,28 @@ def test_every_stage_answers_in_json(run: Run, tmp_path: Path) -> None:
     assert (tmp_path / frames["manifest"]).is_file()
     assert answer("scenes", "step", *SMALL)["camera"]["resolution"] == [64, 48]
     printed = run("scenes", "step", *SMALL)
-    assert scenes.parse(printed.stdout).camera.resolution == (64, 48)
+    assert scenes.parse(printed.out).camera.resolution == (64, 48)
 
 
-def test_invalid_exposure_time_is_refused_and_the_stack_kept(run: Run, tmp_path: Path) -> None:
-    assert run("render", "step", *SMALL).returncode == 0
+def test_invalid_exposure_time_is_refused_and_the_stack_kept(run: Call, tmp_path: Path) -> None:
+    assert run("render", "step", *SMALL).status == 0
     (tmp_path / "stack.exr").write_text("precious")
     for time in ("0", "-3", "nan", "inf"):
         done = run("expose", "transport.exr", "--exposure-ms", time)
-        assert done.returncode == 2
-        assert "each above 0" in done.stderr
-        assert "Traceback" not in done.stderr
+        assert done.status == 2
+        assert "each above 0" in done.err
+        assert "Traceback" not in done.err
     assert (tmp_path / "stack.exr").read_text() == "precious"
 
 
 def test_traced_light_is_exposed_with_other_sensor_and_patterns_only(
-    run: Run, tmp_path: Path
+    run: Call, tmp_path: Path
 ) -> None:
-    assert run("render", "step", *SMALL).returncode == 0
-    few = (
-        "--set",
-        "sensor.bits=8",
-        "--set",
-        "exposures.auto.level_dn=120",
-        "--set",
-        "patterns.steps=3",
-    )
-    done = run("expose", "transport.exr", *few, "--json")
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["shape"] == [1, 9, 48, 64]
+    assert run("render", "step", *SMALL).status == 0
+    few = ("sensor.bits=8", "exposures.auto.level_dn=120", "patterns.steps=3")
+    done = run("expose", "transport.exr", *(f"--set={key}" for key in few), "--json")
+    assert done.status == 0, done.err
+    assert json.loads(done.out)["shape"] == [1, 9, 48, 64]
     stack = Stack.read(tmp_path / "stack.exr")
     assert stack.frames.dtype == np.uint8
     assert stack.sensor.bits == 8
@@ -97,12 +78,12 @@ def test_traced_light_is_exposed_with_other_sensor_and_patterns_only(
         ("patterns.periods_px=[17.0]", "trace the scene again"),
     ):
         done = run("expose", "transport.exr", "--set", setting)
-        assert (done.returncode, said in done.stderr) == (2, True), done.stderr
+        assert (done.status, said in done.err) == (2, True), done.err
     assert (tmp_path / "stack.exr").read_bytes() == before
 
 
 def test_unwritable_output_is_refused_before_the_work(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    run: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def no_light(*_: object, **__: object) -> None:
         pytest.fail("light was traced")
@@ -114,19 +95,19 @@ def test_unwritable_output_is_refused_before_the_work(
         ("calibrate", "step", "-o", "missing/rig.yml"),
     ):
         done = run(*words)
-        assert done.returncode == 2
-        assert "cannot write 'missing/" in done.stderr
+        assert done.status == 2
+        assert "cannot write 'missing/" in done.err
     assert not list(tmp_path.iterdir())
 
 
-def test_damaged_file_is_named_as_given(run: Run, tmp_path: Path) -> None:
+def test_damaged_file_is_named_as_given(run: Call, tmp_path: Path) -> None:
     for content in (b"", b"no picture", bytes([0x76, 0x2F, 0x31, 0x01])):
         (tmp_path / "mine.exr").write_bytes(content)
         for command in ("decode", "expose", "view"):
             done = run(command, "mine.exr")
-            assert done.returncode == 2
-            assert "'mine.exr' is truncated, damaged or no OpenEXR file" in done.stderr
-            assert "python_buffer" not in done.stderr
+            assert done.status == 2
+            assert "'mine.exr' is truncated, damaged or no OpenEXR file" in done.err
+            assert "python_buffer" not in done.err
 
 
 def test_numpy_numbers_are_accepted_and_written(tmp_path: Path) -> None:
@@ -159,59 +140,59 @@ def test_numpy_numbers_are_accepted_and_written(tmp_path: Path) -> None:
 
 
 def test_frames_without_calibration_are_decoded_and_phases_are_no_heights(
-    run: Run, tmp_path: Path
+    run: Call, tmp_path: Path
 ) -> None:
-    assert run("render", "step", *SMALL, "--truth", "g.exr").returncode == 0
-    assert run("expose", "transport.exr").returncode == 0
+    assert run("render", "step", *SMALL, "--truth", "g.exr").status == 0
+    assert run("expose", "transport.exr").status == 0
     stack = Stack.read(tmp_path / "stack.exr")
     dataclasses.replace(stack, calibration=None).write(tmp_path / "bare.exr")
-    said = run("decode", "bare.exr").stderr
+    said = run("decode", "bare.exr").err
     # The options of the command, not the arguments of the function.
     assert "--c-px-per-mm" in said and "--height phase" in said and "c_px_per_mm" not in said
-    assert run("decode", "bare.exr", "--c-px-per-mm", "4").returncode == 0
+    assert run("decode", "bare.exr", "--c-px-per-mm", "4").status == 0
     rec = decode.Reconstruction.read(tmp_path / "reconstruction.exr")
     assert np.isfinite(rec.height_mm[rec.valid]).all()
-    assert run("decode", "bare.exr", "--height", "phase").returncode == 0
+    assert run("decode", "bare.exr", "--height", "phase").status == 0
     done = run("evaluate", "reconstruction.exr", "g.exr", "-o", "scores.json")
-    assert (done.returncode, "only phases" in done.stderr) == (2, True)
+    assert (done.status, "only phases" in done.err) == (2, True)
     assert not (tmp_path / "scores.json").exists()
     for target in ("a.ply", "a.png"):
         done = run("convert", "reconstruction.exr", "-o", target)
-        assert (done.returncode, "Traceback" in done.stderr) == (2, False)
+        assert (done.status, "Traceback" in done.err) == (2, False)
     for words in (("reconstruction.exr",), ("reconstruction.exr", "--truth", "g.exr")):
         for target in ("a.html", "a.png"):
             done = run("view", *words, "-o", target)
-            assert done.returncode in {0, 2}, done.stderr
-            assert "Traceback" not in done.stderr
+            assert done.status in {0, 2}, done.err
+            assert "Traceback" not in done.err
 
 
-def test_stage_prints_what_it_wrote(run: Run, tmp_path: Path) -> None:
-    said = run("render", "step", *SMALL, "--truth", "g.exr").stdout.splitlines()
+def test_stage_prints_what_it_wrote(run: Call, tmp_path: Path) -> None:
+    said = run("render", "step", *SMALL, "--truth", "g.exr").out.splitlines()
     assert said == [
         "transport.exr: 64 x 48 px, 7 channels, 2 samples per pixel",
         "g.exr: base, step",
     ]
     done = run("expose", "transport.exr", "--exposure-ms", "2", "--exposure-ms", "0.5")
-    assert done.stdout == "stack.exr: 12 frames at 2, 0.5 ms, 64 x 48 px\n"
-    measured, *lost = run("decode", "stack.exr").stdout.removesuffix("\n").split("; ")
+    assert done.out == "stack.exr: 12 frames at 2, 0.5 ms, 64 x 48 px\n"
+    measured, *lost = run("decode", "stack.exr").out.removesuffix("\n").split("; ")
     shares = decode.Reconstruction.read(tmp_path / "reconstruction.exr").reason_fractions()
     assert measured == f"reconstruction.exr: {shares['ok']:.1%} of the pixels measured"
     assert lost == [f"{name} {share:.2%}" for name, share in shares.items() if name != "ok"]
 
 
-def test_printed_path_is_not_wrapped_and_keeps_its_brackets(run: Run) -> None:
+def test_printed_path_is_not_wrapped_and_keeps_its_brackets(run: Call) -> None:
     folder = "[red]" + "long-" * 30
     done = run("run", "step", *SMALL, "-o", folder)
-    assert f"files in {folder}  (" in done.stdout
+    assert f"files in {folder}  (" in done.out
     (Path(folder) / "reconstruction.exr").rename("[bold]r.exr")
     done = run("evaluate", "[bold]r.exr", f"{folder}/truth.exr")
-    assert "[bold]r.exr" in done.stdout
+    assert "[bold]r.exr" in done.out
     done = run("compare", "step", *SMALL, "--strategies", "single", "--repeats", "1", "-o", folder)
-    assert f"files in {folder}\n" in done.stdout
+    assert f"files in {folder}\n" in done.out
     done = run("export", f"{folder}/stack.exr", "-o", folder)
-    assert done.stdout == f"{folder}/manifest.toml\n"
+    assert done.out == f"{folder}/manifest.toml\n"
     done = run("import", f"{folder}/manifest.toml", "-o", f"{folder}/i.exr", "--force")
-    assert f"{folder}/i.exr: 1 exposures, 12 frames, 64 x 48 px, calibrated\n" in done.stdout
+    assert f"{folder}/i.exr: 1 exposures, 12 frames, 64 x 48 px, calibrated\n" in done.out
 
 
 WRITERS = {

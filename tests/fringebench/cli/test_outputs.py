@@ -10,9 +10,8 @@ from rich.table import Table
 
 import decode
 from fringebench.cli.terminal import print_figures
+from tests.commands import SMALL
 from tests.conftest import Call
-
-SMALL = ["--set", "camera.resolution=[24,18]", "--set", "sampling.samples=2"]
 
 
 @pytest.fixture

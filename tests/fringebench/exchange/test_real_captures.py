@@ -3,23 +3,20 @@
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
 from scipy import ndimage
 from scipy.spatial import cKDTree
-from typer.testing import CliRunner
 
 import decode
 from decode import Reason
 from decode.phase.gamma import estimate
-from fringebench.cli.app import app
 from scenes.acquisition.patterns import Axis
 from scenes.files.capture import Capture
 from scenes.rig.opencv_calibration import Source
-from scenes.support.errors import FringebenchError
+from tests.conftest import Call
 from tests.fringebench.real_captures import SHELL, captures, display_manifest, shell_manifest
 
 
@@ -88,48 +85,45 @@ def test_gamma_of_the_display_is_estimated(tmp_path: Path) -> None:
     assert estimate(stack) == pytest.approx(2.45, abs=0.1)
 
 
-def renamed(names: list[str], i: int, j: int) -> list[str]:
-    names = names.copy()
-    names[i], names[j] = names[j], names[i]
-    return names
-
-
 PATTERNS = [f"pat{i:02d}.png" for i in range(32)]
 
 
-def _frames(change: Callable[[dict[str, Any]], dict[str, Any]], folder: Path) -> Path:
-    path = display_manifest(folder)
-    tree = tomllib.loads(path.read_text())
-    return display_manifest(folder, frames=[change(dict(frame)) for frame in tree["frames"]])
+def exchanged(i: int, j: int) -> Callable[[Path], Path]:
+    """The display's manifest with two of its images exchanged."""
+    files = PATTERNS.copy()
+    files[i], files[j] = files[j], files[i]
+    return lambda folder: display_manifest(folder, files=files)
+
+
+def shell_exchanged(i: int, j: int) -> Callable[[Path], Path]:
+    def made(folder: Path) -> Path:
+        files = sorted(path.name for path in (captures(SHELL) / "scan_0020").glob("*.jpg"))
+        files[i], files[j] = files[j], files[i]
+        return shell_manifest(folder, files=files)
+
+    return made
+
+
+def fringes(key: str, value: float | str, **other: float) -> Callable[[Path], Path]:
+    """The display's manifest with `other` in those sets of fringes whose `key` has a value."""
+
+    def made(folder: Path) -> Path:
+        frames = tomllib.loads(display_manifest(folder).read_text())["frames"]
+        changed = [shown | other if shown.get(key) == value else shown for shown in frames]
+        assert changed != frames
+        return display_manifest(folder, frames=changed)
+
+    return made
 
 
 WRONG: dict[str, tuple[Callable[[Path], Path], str]] = {
-    "two fringe frames exchanged": (
-        lambda f: display_manifest(f, files=renamed(PATTERNS, 0, 1)),
-        "columns, agreement",
-    ),
-    "frames of two periods exchanged": (
-        lambda f: display_manifest(f, files=renamed(PATTERNS, 2, 3)),
-        "columns, agreement",
-    ),
-    "two bits exchanged": (
-        lambda f: display_manifest(f, files=renamed(PATTERNS, 14, 16)),
-        "fits the inverse of bit",
-    ),
-    "white and black exchanged": (
-        lambda f: display_manifest(f, files=renamed(PATTERNS, 30, 31)),
-        "white and black",
-    ),
-    "wrong period": (
-        lambda f: _frames(
-            lambda s: s | {"period_px": 90.0} if s.get("period_px") == 100.0 else s, f
-        ),
-        "agreement",
-    ),
+    "two fringe frames exchanged": (exchanged(0, 1), "columns, agreement"),
+    "frames of two periods exchanged": (exchanged(2, 3), "columns, agreement"),
+    "two bits exchanged": (exchanged(14, 16), "fits the inverse of bit"),
+    "white and black exchanged": (exchanged(30, 31), "white and black"),
+    "wrong period": (fringes("period_px", 100.0, period_px=90.0), "agreement"),
     "wrong direction": (
-        lambda f: _frames(
-            lambda s: s | {"direction": -1, "first_phase_deg": 120.0} if "steps" in s else s, f
-        ),
+        fringes("kind", "fringes", direction=-1, first_phase_deg=120.0),
         "agreement",
     ),
     "wrong bit depth": (lambda f: display_manifest(f, bits=12), "8-bit numbers: set bits = 8"),
@@ -138,33 +132,22 @@ WRONG: dict[str, tuple[Callable[[Path], Path], str]] = {
         "pat99.png' is missing",
     ),
     "an image too few": (lambda f: display_manifest(f, files=PATTERNS[:-1]), "31 images"),
-    "two bits of the shell exchanged": (
-        lambda f: shell_manifest(f, files=renamed(_shell_files(), 16, 18)),
-        "fits the inverse of bit",
-    ),
-    "an inverse of the shell exchanged": (
-        lambda f: shell_manifest(f, files=renamed(_shell_files(), 6, 7)),
-        "calibration",
-    ),
+    "two bits of the shell exchanged": (shell_exchanged(16, 18), "fits the inverse of bit"),
+    "an inverse of the shell exchanged": (shell_exchanged(6, 7), "calibration"),
 }
-
-
-def _shell_files() -> list[str]:
-    return sorted(path.name for path in (captures(SHELL) / "scan_0020").glob("*.jpg"))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", WRONG)
-def test_wrong_manifest_is_refused_with_the_reason(tmp_path: Path, name: str) -> None:
+def test_wrong_manifest_is_refused_with_the_reason(call: Call, tmp_path: Path, name: str) -> None:
     make, said = WRONG[name]
     output = tmp_path / "stack.exr"
-    result = CliRunner().invoke(app, ["import", str(make(tmp_path)), "-o", str(output)])
-    assert isinstance(result.exception, FringebenchError)
-    assert said in str(result.exception)
+    status, _, err = call("import", make(tmp_path), "-o", output)
+    assert (status, said in err) == (2, True), err
     assert not output.exists()
 
 
-def test_calibration_of_another_camera_size_is_refused(tmp_path: Path) -> None:
+def test_calibration_of_another_camera_size_is_refused(call: Call, tmp_path: Path) -> None:
     source = shell_manifest(tmp_path)
     rig = Capture.load(source).calibration
     assert isinstance(rig, Source)
@@ -173,18 +156,16 @@ def test_calibration_of_another_camera_size_is_refused(tmp_path: Path) -> None:
     assert text != rig.files[0].read_text()
     small.write_text(text)
     manifest = shell_manifest(tmp_path, calibration={"files": [str(small)]})
-    result = CliRunner().invoke(app, ["import", str(manifest), "-o", str(tmp_path / "s.exr")])
-    assert isinstance(result.exception, FringebenchError)
-    assert "another size" in str(result.exception) or "1296 x 972" in str(result.exception)
+    status, _, err = call("import", manifest, "-o", tmp_path / "s.exr")
+    assert status == 2
+    assert "another size" in err or "1296 x 972" in err
 
 
 @pytest.mark.slow
-def test_right_manifests_pass_the_checks_and_are_imported(tmp_path: Path) -> None:
+def test_right_manifests_pass_the_checks_and_are_imported(call: Call, tmp_path: Path) -> None:
     output = tmp_path / "stack.exr"
     for manifest in (display_manifest(tmp_path), shell_manifest(tmp_path)):
-        checked = CliRunner().invoke(app, ["import", str(manifest), "--check", "--json"])
-        assert checked.exit_code == 0
-        result = CliRunner().invoke(app, ["import", str(manifest), "-o", str(output)])
-        assert result.exit_code == 0
+        assert call("import", manifest, "--check", "--json")[0] == 0
+        assert call("import", manifest, "-o", output)[0] == 0
         assert output.stat().st_size > 1e6
         output.unlink()

@@ -1,7 +1,6 @@
 """Viewed and converted files hold what the originals hold, in the units of the format."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from fringebench.exchange.conversion import convert
 from fringebench.exchange.viewer import read_view, write_view
 from fringebench.verbs import run
 from scenes.support.errors import FileError
+from tests.conftest import Call
 
 KINDS = ("transport", "stack", "truth", "reconstruction")
 
@@ -26,12 +26,8 @@ KINDS = ("transport", "stack", "truth", "reconstruction")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small run."""
     out = tmp_path_factory.mktemp("run")
-    run(
-        scenes.load(
-            "bench", {"camera.resolution": [96, 72], "sampling.samples": 4, "sensor.psf": "none"}
-        ),
-        out,
-    )
+    small = {"camera.resolution": [96, 72], "sampling.samples": 4, "sensor.psf": "none"}
+    run(scenes.load("bench", small), out)
     return out
 
 
@@ -191,9 +187,7 @@ def test_refused_conversion_leaves_no_file(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_view_and_convert_answer_in_json(
-    folder: Path, tmp_path: Path, call: Callable[..., tuple[int, str, str]]
-) -> None:
+def test_view_and_convert_answer_in_json(folder: Path, tmp_path: Path, call: Call) -> None:
     for name in ("view", "convert"):
         out = tmp_path / f"{name}.png"
         status, said, _ = call(name, folder / "reconstruction.exr", "-o", out, "--json")

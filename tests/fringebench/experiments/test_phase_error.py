@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 import typer.main
-from typer.testing import CliRunner
 
 import decode
 import render
@@ -71,12 +70,11 @@ def test_every_command_that_traces_takes_phase_error() -> None:
         assert "--phase-error" in options, name
 
 
-def test_phase_error_option_overrides_the_key_of_the_scene(tmp_path: Path) -> None:
-    words = ["render", "step", *SETTINGS, "--set=sampling.phase_error_rad=0.9"]
-    words += ["--phase-error", "0.5", "--samples", "4", "--json", "-o", str(tmp_path / "t.exr")]
-    done = CliRunner().invoke(app, words)
-    assert done.exit_code == 0, done.output
-    answer = json.loads(done.stdout)
+def test_phase_error_option_overrides_the_key_of_the_scene(call: Call, tmp_path: Path) -> None:
+    words = ["--set=sampling.phase_error_rad=0.9", "--phase-error", 0.5, "--samples", 4, "--json"]
+    status, out, err = call("render", "step", *SETTINGS, *words, "-o", tmp_path / "t.exr")
+    assert status == 0, err
+    answer = json.loads(out)
     assert answer["light"]["target_rad"] == 0.5
     assert answer["samples"] == answer["light"]["samples"] == 4 * answer["light"]["passes"]
 

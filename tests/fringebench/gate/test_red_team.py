@@ -1,8 +1,6 @@
 """Cheating, crashing and lying decoders against the gate: none passes, none hangs, none is blamed on the gate."""
 
-import os
 import re
-import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -15,20 +13,15 @@ from fringebench.gate.cases import Case, suite
 from fringebench.gate.regression_gate import regress
 from scenes.files.stack import Stack
 from scenes.support.errors import OutsideDecoderError
+from tests.commands import finish, start
 from tests.fringebench.gate import cheating_decoders
 
 HERE = "tests.fringebench.gate.cheating_decoders"
-ROOT = Path(__file__).parents[3]
 # Generous for a loaded machine; a decoder that hangs would take 600 s.
 LIMIT_S = 300.0
 # Their lie is in what their process does; the others lie in numbers, which need no process.
 LIE_BY_PROCESS = ("patches_the_gate", "looks_for_the_truth")
 ODD_AND_HONEST = ("is_a_class_of_its_own", "leaves_the_process_changed")
-
-
-@pytest.fixture(scope="module")
-def sweep() -> tuple[Case, ...]:
-    return suite(("sweep",))
 
 
 @pytest.fixture(scope="module")
@@ -39,8 +32,7 @@ def baseline(sweep: tuple[Case, ...], tmp_path_factory: pytest.TempPathFactory) 
 
 
 @pytest.fixture(autouse=True)
-def from_the_repository(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.syspath_prepend(str(ROOT))
+def own_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("FRINGEBENCH_RED_TEAM", str(tmp_path))
 
 
@@ -236,16 +228,10 @@ def test_module_that_leaves_at_import_ends_with_status_two(tmp_path: Path, way: 
     """The gate once ended with status 0 and no verdict."""
     code, named = LEAVING[way]
     (tmp_path / "leaving.py").write_text(code)
-    words = ["-m", "fringebench", "regress", "leaving:decode"]
-    path = {"PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}"}
-    done = subprocess.run(
-        [sys.executable, *words],
-        capture_output=True, text=True, check=False, cwd=tmp_path, env={**os.environ, **path},
-    )  # fmt: skip
-    assert done.returncode == 2
-    assert re.search(named, done.stderr), done.stderr
-    assert "Traceback" not in done.stderr
-    assert done.stdout == ""
+    status, out, err = finish(start("regress", "leaving:decode", folder=tmp_path))
+    assert (status, out) == (2, "")
+    assert re.search(named, err), err
+    assert "Traceback" not in err
 
 
 def test_prints_of_a_decoder_stay_out_of_the_answer(

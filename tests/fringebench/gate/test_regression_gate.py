@@ -1,7 +1,6 @@
 """The gate lets an honest decoder through and catches each planted fault, in the case made for it."""
 
 import json
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +17,7 @@ from fringebench.gate.regression_gate import SEEDS, regress
 from fringebench.pages.regress_page import regress_report
 from scenes import Stack
 from scenes.support.errors import FileError, OutsideDecoderError
+from tests.commands import ROOT, Done, finish, start
 from tests.fringebench import faulty_decoders
 
 FAULTY = "tests.fringebench.faulty_decoders"
@@ -28,17 +28,6 @@ pytest_plugins = ["pytester"]
 @pytest.fixture(scope="module")
 def cases() -> tuple[Case, ...]:
     return suite()
-
-
-@pytest.fixture(scope="module")
-def sweep() -> tuple[Case, ...]:
-    return suite(("sweep",))
-
-
-@pytest.fixture(autouse=True)
-def from_the_repository(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Faulty decoders are named as a team would name its own: by module, from the folder worked in."""
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[3]))
 
 
 @pytest.mark.slow
@@ -215,8 +204,7 @@ def test_unusable_baselines_are_refused(sweep: tuple[Case, ...], tmp_path: Path)
 
 def test_shipped_baseline_belongs_to_the_shipped_cases() -> None:
     """When a case changes: fringebench regress decode:reconstruct --seeds 0-63 --baseline <a new file> --update."""
-    shipped = Path(__file__).parents[3] / "fringebench" / "gate" / "baselines" / "default.json"
-    baseline = Baseline.read(shipped)
+    baseline = Baseline.load(None)
     assert set(baseline.figures) == set(CASES)
     assert baseline.suite == shipped_fingerprint()
 
@@ -250,20 +238,15 @@ def test_plugin_fails_a_test_whose_decoder_got_worse(pytester: pytest.Pytester) 
 
 
 @pytest.mark.slow
-def test_command_line_gives_status_and_json(tmp_path: Path) -> None:
-    def run(*words: str) -> "subprocess.CompletedProcess[str]":
-        root = Path(__file__).parents[3]
-        return subprocess.run(
-            [sys.executable, "-m", "fringebench", *words],
-            capture_output=True, text=True, check=False, cwd=root,
-        )  # fmt: skip
+def test_command_line_gives_status_and_json() -> None:
+    def run(*words: str) -> Done:
+        return finish(start("regress", *words, folder=ROOT))
 
-    good = run("regress", "decode:reconstruct", "--json")
-    assert good.returncode == 0, good.stderr
-    assert json.loads(good.stdout)["passed"] is True
-    bad = run("regress", f"{FAULTY}:ignores_saturation", "--seeds", "0-7")
-    assert bad.returncode == 1
-    assert "highlight / highlight" in bad.stdout
-    assert run("regress", "nonsense").returncode == 2
-    assert run("regress", "decode:reconstruct", "--seeds", "1").returncode == 2
+    status, out, err = run("decode:reconstruct", "--json")
+    assert status == 0, err
+    assert json.loads(out)["passed"] is True
+    status, out, _ = run(f"{FAULTY}:ignores_saturation", "--seeds", "0-7")
+    assert (status, "highlight / highlight" in out) == (1, True)
+    assert run("nonsense")[0] == 2
+    assert run("decode:reconstruct", "--seeds", "1")[0] == 2
     assert len(SEEDS) == 16

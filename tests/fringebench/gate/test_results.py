@@ -2,9 +2,7 @@
 
 import json
 import os
-import subprocess
-import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -30,15 +28,11 @@ from fringebench.gate.regression_gate import regress
 from fringebench.gate.regression_result import Regression
 from fringebench.pages.regress_page import regress_report
 from scenes.support.errors import FileError, OutsideDecoderError, SceneError
+from tests.commands import finish, start
+from tests.conftest import Call
 from tests.fringebench import faulty_decoders
 
-ROOT = Path(__file__).parents[3]
 SEEDS = range(4)
-
-
-@pytest.fixture(scope="module")
-def sweep() -> tuple[Case, ...]:
-    return suite(("sweep",))
 
 
 @pytest.fixture(scope="module")
@@ -254,7 +248,7 @@ def test_own_scene_is_judged_against_our_decoder(tmp_path: Path) -> None:
 
 
 def test_baseline_with_missing_regions_is_not_stored_in_silence(
-    call: Callable[..., tuple[int, str, str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A region that is mostly missing may be as it should be, or a decoder that does not see it: the user decides."""
     empty = {"missing_fraction": Estimate(0.8, 0.0, 3)}
@@ -282,19 +276,10 @@ def test_decoder_that_cannot_work_fails_before_anything_is_rendered(
 
 
 def test_decoder_that_cannot_start_ends_with_status_two_in_seconds(tmp_path: Path) -> None:
-    words = [sys.executable, "-m", "fringebench", "regress", "no.such.module:decode"]
-    usage = resource_children()
-    done = subprocess.run(
-        words, capture_output=True, text=True, check=False, cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-    assert done.returncode == 2
-    assert "cannot be imported" in done.stderr
+    before = os.times()
+    status, _, err = finish(start("regress", "no.such.module:decode", folder=tmp_path))
+    assert (status, "cannot be imported" in err) == (2, True)
     # Processor time, which a loaded machine does not stretch.
-    assert resource_children() - usage < 10.0
-
-
-def resource_children() -> float:
-    """Processor time of all children so far, s."""
-    times = os.times()
-    return times.children_user + times.children_system
+    after = os.times()
+    spent = after.children_user - before.children_user
+    assert spent + after.children_system - before.children_system < 10.0

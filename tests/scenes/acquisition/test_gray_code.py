@@ -3,34 +3,11 @@
 import numpy as np
 import pytest
 
-from scenes.acquisition.pattern_basis import Basis, basis
+from scenes.acquisition.pattern_basis import basis
 from scenes.acquisition.patterns import GrayBits, GrayCode, PhaseShift
-from scenes.rig.devices import LookAt
-from scenes.rig.projectors import TelecentricProjector
+from tests.scenes.acquisition.emitted import emitted, projector
 
 RESOLUTION = (96, 40)
-
-
-def projector(**kind: float) -> TelecentricProjector:
-    pose = LookAt(origin_mm=(0.0, 0.0, 100.0))
-    return TelecentricProjector.model_validate(
-        {"resolution": RESOLUTION, "pose": pose, "field_width_mm": 10.0, **kind}
-    )
-
-
-def evaluate(made: Basis, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """What a basis sends to continuous pixels, (frame, point)."""
-    values = []
-    for channel in made.channels:
-        along = u if channel.axis == "column" else v
-        if channel.kind == "one":
-            values.append(np.ones_like(along))
-        elif channel.kind == "table":
-            values.append(np.asarray(channel.values)[np.floor(along).astype(int)])
-        else:
-            wave = np.cos if channel.kind == "cos" else np.sin
-            values.append(wave(2 * np.pi * along / channel.period_px))
-    return np.asarray(made.weights @ np.stack(values))
 
 
 @pytest.mark.parametrize("cell_px", [1.0, 5.0])
@@ -56,7 +33,7 @@ def test_gray_code_of_neighbours_differs_in_one_bit_and_decodes_to_its_cell(cell
 def test_basis_makes_every_frame_of_gray_code_and_unequal_steps(
     patterns: PhaseShift | GrayCode, kind: dict[str, float]
 ) -> None:
-    light = projector(**kind)
+    light = projector(96, 40, **kind)
     rng = np.random.default_rng(1)
     u, v = (np.floor(rng.uniform(0, size, 500)) + 0.5 for size in RESOLUTION)
     wanted = np.stack(
@@ -66,12 +43,12 @@ def test_basis_makes_every_frame_of_gray_code_and_unequal_steps(
         ]
     )
     # float64 rounding of a sum of some ten terms of order one
-    made = evaluate(basis(patterns, light, RESOLUTION), u, v)
+    made = emitted(basis(patterns, light, RESOLUTION), u, v)
     np.testing.assert_allclose(made, wanted, atol=1e-12)
 
 
 def test_inverses_cost_at_most_one_channel() -> None:
-    light = projector()
+    light = projector(*RESOLUTION)
     plain = basis(GrayCode(bits=(7,), inverted=False, flat=False), light, RESOLUTION)
     both = basis(GrayCode(bits=(7,), flat=False), light, RESOLUTION)
     assert len(both.channels) <= len(plain.channels) + 1

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scenes.acquisition.pattern_basis import Basis, basis
+from scenes.acquisition.pattern_basis import basis
 from scenes.acquisition.patterns import (
     GrayBits,
     GrayCode,
@@ -19,35 +20,13 @@ from scenes.acquisition.patterns import (
     PhaseShift,
     UnevenSteps,
 )
-from scenes.rig.devices import LookAt
-from scenes.rig.projectors import TelecentricProjector
 from scenes.support.errors import SceneError
+from tests.scenes.acquisition import emitted
 
 COLUMNS, ROWS = 96, 64
 
 
-def projector(**emission: float) -> TelecentricProjector:
-    return TelecentricProjector(
-        resolution=(COLUMNS, ROWS),
-        pose=LookAt(origin_mm=(-1, 0, 2)),
-        field_width_mm=10.0,
-        **emission,
-    )
-
-
-def shown(made: Basis, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Frames (frame, point) that a basis makes at continuous projector coordinates."""
-    rows = []
-    for channel in made.channels:
-        along = u if channel.axis == "column" else v
-        if channel.kind == "one":
-            rows.append(np.ones_like(u))
-        elif channel.kind == "table":
-            rows.append(np.asarray(channel.values)[along.astype(int)])
-        else:
-            wave = np.cos if channel.kind == "cos" else np.sin
-            rows.append(wave(2 * np.pi * along / channel.period_px))
-    return np.asarray(made.weights @ np.stack(rows))
+projector = partial(emitted.projector, COLUMNS, ROWS)
 
 
 @given(
@@ -68,7 +47,7 @@ def test_basis_makes_every_frame_that_is_emitted(
         light.emit(patterns.commanded(f, u if f.axis == "column" else v)) for f in patterns.frames()
     ]
     made = basis(patterns, light, light.resolution)
-    np.testing.assert_allclose(shown(made, u, v), expected, atol=1e-12)
+    np.testing.assert_allclose(emitted.emitted(made, u, v), expected, atol=1e-12)
     assert len(made.channels) == 1 + 2 * len(periods) * len(axes)
 
 
@@ -77,11 +56,11 @@ def test_black_frames_of_a_gray_code_are_emitted_at_the_black_level() -> None:
     light = projector(contrast=0.5)
     u, v = np.arange(0.3, COLUMNS)[:ROWS], np.arange(0.9, ROWS)
     frames = patterns.frames()
-    made = shown(basis(patterns, light, light.resolution), u, v)
+    made = emitted.emitted(basis(patterns, light, light.resolution), u, v)
     # Michelson contrast 1/2: black is a third of white.
-    for frame, emitted in zip(frames, made, strict=True):
+    for frame, light_of_frame in zip(frames, made, strict=True):
         pixel = np.floor(u if frame.axis == "column" else v) + 0.5
-        np.testing.assert_allclose(emitted, (1 + 2 * patterns.commanded(frame, pixel)) / 3)
+        np.testing.assert_allclose(light_of_frame, (1 + 2 * patterns.commanded(frame, pixel)) / 3)
     assert {frame.kind for frame in frames} == {"gray", "white", "black"}
 
 
@@ -101,7 +80,7 @@ def test_basis_makes_every_frame_of_a_coding(patterns: Patterns) -> None:
     """At pixel centres, where tables are exact too."""
     light = projector()
     at = np.arange(0.5, min(COLUMNS, ROWS))
-    made = shown(basis(patterns, light, light.resolution), at, at)
+    made = emitted.emitted(basis(patterns, light, light.resolution), at, at)
     expected = [light.emit(patterns.commanded(f, at)) for f in patterns.frames()]
     np.testing.assert_allclose(made, expected, atol=1e-12)
 
@@ -133,7 +112,7 @@ def test_gamma_and_quantisation_are_emitted_as_projector_pixels(emission: dict[s
         for f in patterns.frames()
     ]
     # The decomposition drops directions 1e-7 of the strongest, whose tables are of the order of 1.
-    np.testing.assert_allclose(shown(made, u, v), expected, atol=1e-6)
+    np.testing.assert_allclose(emitted.emitted(made, u, v), expected, atol=1e-6)
     assert len(made.channels) <= len(expected)
 
 

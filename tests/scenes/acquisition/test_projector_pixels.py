@@ -1,5 +1,6 @@
 """A projector's open squares and blur against closed forms: light of one pixel, fringe contrast, mean."""
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,20 +10,12 @@ from scipy.special import erf
 from scenes.acquisition.pattern_basis import basis
 from scenes.acquisition.patterns import PhaseShift
 from scenes.acquisition.projector_pixels import CELLS, across, along, cells_per_pixel
-from scenes.rig.devices import LookAt
-from scenes.rig.projectors import TelecentricProjector
-from tests.scenes.acquisition.test_gray_code import evaluate
+from tests.scenes.acquisition import emitted
 
 COLUMNS, ROWS = 240, 120
 
 
-def projector(**emission: Any) -> TelecentricProjector:
-    return TelecentricProjector(
-        resolution=(COLUMNS, ROWS),
-        pose=LookAt(origin_mm=(-1, 0, 2)),
-        field_width_mm=10.0,
-        **emission,
-    )
+projector = partial(emitted.projector, COLUMNS, ROWS)
 
 
 @pytest.mark.parametrize(
@@ -115,6 +108,6 @@ def test_fill_factor_one_changes_nothing_and_ideal_projectors_keep_their_basis()
     patterns = PhaseShift(periods_px=(8.0, 48.0))
     u, v = np.arange(0.3, COLUMNS)[:ROWS], np.arange(0.9, ROWS)
     squares = [projector(**k) for k in ({"bits": 8}, {"bits": 8, "fill_factor": 1.0})]
-    made = [evaluate(basis(patterns, one, one.resolution), u, v) for one in squares]
+    made = [emitted.emitted(basis(patterns, one, one.resolution), u, v) for one in squares]
     np.testing.assert_array_equal(made[0], made[1])
     assert basis(patterns, projector(), (COLUMNS, ROWS)).channels[0].kind == "one"

@@ -8,9 +8,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-import scipy.io
-import yaml
-from scipy.spatial.transform import Rotation
 
 from scenes.rig.calibration_files import entries
 from scenes.rig.opencv_calibration import Pair, Source
@@ -35,6 +32,15 @@ def write(path: Path, parts: dict[str, Any]) -> Path:
     return path
 
 
+def pair_of(*files: Path, **keys: Any) -> Pair:
+    return Source(files=files, **keys).pair()
+
+
+def refused(says: str, *files: Path, **keys: Any) -> None:
+    with pytest.raises(FileError, match=says):
+        pair_of(*files, **keys)
+
+
 @pytest.mark.parametrize("suffix", [".yml", ".xml", ".json"])
 def test_points_project_as_in_opencv_plus_half_a_pixel(tmp_path: Path, suffix: str) -> None:
     path = write(tmp_path / f"rig{suffix}", PARTS | SIZES)
@@ -55,11 +61,11 @@ def test_points_project_as_in_opencv_plus_half_a_pixel(tmp_path: Path, suffix: s
 def test_a_translation_in_metres_is_reported_by_its_length(tmp_path: Path) -> None:
     path = write(tmp_path / "rig.yml", PARTS | SIZES | {"T": T / 1000.0})
     with pytest.warns(FringebenchWarning, match=r"0\.194 mm apart: .*set mm_per_unit = 1000"):
-        Source(files=(path,)).pair()
+        pair_of(path)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        Source(files=(path,), mm_per_unit=1000.0).pair()
-        Source(files=(write(path, PARTS | SIZES),)).pair()
+        pair_of(path, mm_per_unit=1000.0)
+        pair_of(write(path, PARTS | SIZES))
 
 
 def test_working_volume_is_from_the_nearest_to_the_farthest_depth(tmp_path: Path) -> None:
@@ -91,7 +97,7 @@ def test_common_names_of_calibrations_are_recognised(
     tree = {name: np.asarray(v).tolist() for name, v in zip(names, PARTS.values(), strict=True)}
     path = tmp_path / "rig.json"
     path.write_text(json.dumps(tree))
-    pair = Source(files=(path,)).pair()
+    pair = pair_of(path)
     np.testing.assert_array_equal(pair.first.matrix, K1)
     np.testing.assert_array_equal(pair.second.matrix, K2)
     np.testing.assert_allclose(pair.second.distortion, D2)
@@ -103,15 +109,12 @@ def test_names_unit_and_direction_given_by_the_caller_are_used(tmp_path: Path) -
     odd = {"A": K1, "B": K2, "turn": cv2.Rodrigues(inverse)[0], "move": back}
     names = {"first_matrix": "A", "second_matrix": "B", "rotation": "turn", "translation": "move"}
     path = write(tmp_path / "rig.yml", odd)
-    pair = Source(files=(path,), names=names, mm_per_unit=1000.0, second_to_first=True).pair()
+    pair = pair_of(path, names=names, mm_per_unit=1000.0, second_to_first=True)
     np.testing.assert_allclose(pair.R, R, atol=1e-12)
     np.testing.assert_allclose(pair.t_mm, T, atol=1e-9)
-    with pytest.raises(FileError, match="none is known as first_matrix"):
-        Source(files=(path,)).pair()
-    with pytest.raises(FileError, match="no 'a' for first_matrix"):
-        Source(files=(path,), names={"first_matrix": "a"}).pair()
-    with pytest.raises(FileError, match="did you mean 'rotation'"):
-        Source(files=(path,), names={"rotatoin": "turn"}).pair()
+    refused("none is known as first_matrix", path)
+    refused("no 'a' for first_matrix", path, names={"first_matrix": "a"})
+    refused("did you mean 'rotation'", path, names={"rotatoin": "turn"})
 
 
 @pytest.mark.parametrize("suffix", [".yml", ".xml", ".json"])
@@ -134,8 +137,7 @@ def test_opencv_reads_the_same_numbers(tmp_path: Path, suffix: str) -> None:
 def test_text_on_which_opencv_hangs_is_refused(tmp_path: Path, suffix: str, text: str) -> None:
     path = tmp_path / f"rig{suffix}"
     path.write_text(text)
-    with pytest.raises(FileError, match=r"calibration '.*' (is not valid|has no named entries)"):
-        Source(files=(path,)).pair()
+    refused(r"calibration '.*' (is not valid|has no named entries)", path)
 
 
 def test_intrinsics_and_extrinsics_can_be_in_two_files(tmp_path: Path) -> None:
@@ -144,11 +146,11 @@ def test_intrinsics_and_extrinsics_can_be_in_two_files(tmp_path: Path) -> None:
         write(tmp_path / "intrinsics.yml", inner | SIZES),
         write(tmp_path / "extrinsics.yml", {"R": R, "T": T}),
     )
-    np.testing.assert_allclose(Source(files=files).pair().R, R)
+    np.testing.assert_allclose(pair_of(*files).R, R)
 
 
 def test_two_cameras_share_the_world_of_the_first(tmp_path: Path) -> None:
-    pair = Source(files=(write(tmp_path / "rig.yml", PARTS | SIZES),)).pair()
+    pair = pair_of(write(tmp_path / "rig.yml", PARTS | SIZES))
     left, right = (camera.projection() for camera in pair.cameras())
     np.testing.assert_allclose(left.origin_mm, 0.0, atol=1e-12)
     assert np.linalg.norm(right.origin_mm) == pytest.approx(np.linalg.norm(T), rel=1e-12)
@@ -190,8 +192,7 @@ def test_camera_of_another_size_is_refused(tmp_path: Path) -> None:
 def test_broken_file_is_refused(tmp_path: Path, name: str, text: str) -> None:
     path = tmp_path / name
     path.write_text(text)
-    with pytest.raises(FileError, match=r"rig"):
-        Source(files=(path,)).pair()
+    refused(r"rig", path)
 
 
 @pytest.mark.parametrize("terms", [4, 5, 8])
@@ -205,197 +206,15 @@ def test_unused_entry_that_looks_like_a_missing_distortion_is_refused(
     parts = PARTS | SIZES | {name: np.resize(np.append(D2, np.zeros(9)), terms)}
     del parts[known]
     path = write(tmp_path / "rig.yml", parts)
-    with pytest.raises(FileError, match=f"nothing known as {part}, but '{name}' is unused"):
-        Source(files=(path,)).pair()
-    pair = Source(files=(path,), names={part: name}).pair()
+    refused(f"nothing known as {part}, but '{name}' is unused", path)
+    pair = pair_of(path, names={part: name})
     device = pair.first if part == "first_distortion" else pair.second
     np.testing.assert_allclose(device.distortion[:4], D2[:4])
-    pair = Source(files=(path,), names={part: "none"}).pair()
+    pair = pair_of(path, names={part: "none"})
     device = pair.first if part == "first_distortion" else pair.second
     assert not any(device.distortion)
 
 
 def test_unused_entries_of_a_complete_calibration_are_ignored(tmp_path: Path) -> None:
     extra = {"rms": 0.3, "P1": np.zeros((3, 4)), "per_view": np.arange(12.0), "errors": D1}
-    Source(files=(write(tmp_path / "rig.yml", PARTS | SIZES | extra),)).pair()
-
-
-def same(pair: Pair, scale: float = 1.0) -> None:
-    """The pair is the one of `PARTS`."""
-    np.testing.assert_allclose(pair.first.matrix, K1, rtol=1e-6)
-    np.testing.assert_allclose(pair.second.matrix, K2, rtol=1e-6)
-    np.testing.assert_allclose(pair.first.distortion, D1, atol=1e-9)
-    np.testing.assert_allclose(pair.second.distortion, D2, atol=1e-9)
-    np.testing.assert_allclose(pair.R, R, atol=1e-6)
-    np.testing.assert_allclose(pair.t_mm, T * scale, rtol=1e-6)
-
-
-@pytest.mark.parametrize("matrices", [True, False])
-def test_matlab_toolbox_files_are_read(tmp_path: Path, matrices: bool) -> None:
-    nodes: dict[str, Any] = {
-        "R": R,
-        "T": T[:, None],
-        "om": cv2.Rodrigues(R)[0],
-        "nx": 2592,
-        "ny": 1944,
-    }
-    for side, K, D in (("left", K1, D1), ("right", K2, D2)):
-        nodes |= {f"kc_{side}": np.asarray(D)[:, None], f"kc_error_{side}": np.full((5, 1), 0.01)}
-        if matrices:
-            nodes[f"KK_{side}"] = K
-        else:
-            nodes |= {
-                f"fc_{side}": K.diagonal()[:2, None],
-                f"cc_{side}": K[:2, 2:],
-                f"alpha_c_{side}": 0.0,
-            }
-    scipy.io.savemat(tmp_path / "Calib_Results_stereo.mat", nodes)
-    pair = Source(files=(tmp_path / "Calib_Results_stereo.mat",)).pair()
-    same(pair)
-    assert pair.first.size == (2592, 1944)
-    (tmp_path / "broken.mat").write_bytes(b"MATLAB 5.0 MAT-file" + bytes(200))
-    with pytest.raises(FileError, match="no readable"):
-        Source(files=(tmp_path / "broken.mat",)).pair()
-
-
-def test_skew_of_the_matlab_toolbox_is_refused_with_its_size(tmp_path: Path) -> None:
-    # The toolbox stores skew over focal length: 0.001 x 2000 px = 2 px.
-    nodes: dict[str, Any] = {"R": R, "T": T[:, None], "nx": 2592, "ny": 1944}
-    for side in ("left", "right"):
-        nodes |= {
-            f"fc_{side}": np.array([2000.0, 1900.0]),
-            f"cc_{side}": np.array([1296.0, 972.0]),
-            f"alpha_c_{side}": 0.001,
-            f"kc_{side}": np.zeros(5),
-        }
-    scipy.io.savemat(tmp_path / "skew.mat", nodes)
-    with pytest.raises(FileError, match="has skew 2:"):
-        Source(files=(tmp_path / "skew.mat",)).pair()
-
-
-def rows(array: Any) -> str:
-    return "\n".join(" ".join(f"{x:.12g}" for x in row) for row in np.atleast_2d(array)) + "\n"
-
-
-def numbered(label: str, array: Any) -> str:
-    return f"{label}\n{rows(array)}"
-
-
-POSE_1 = np.column_stack([cv2.Rodrigues(np.array([0.1, 0.2, -0.1]))[0], [10.0, -20.0, 700.0]])
-POSE_2 = np.column_stack([R @ POSE_1[:, :3], R @ POSE_1[:, 3] + T])
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "\n".join(map(rows, (K1, D1, K2, D2, R, T))),
-        "\n".join(map(rows, (K1, D1, K2, D2, np.column_stack([R, T])))),
-        "\n".join(map(rows, (K1, D1, K2, D2, POSE_1, POSE_2))),
-        "\n".join(map(rows, (K1 @ POSE_1, -3.0 * K2 @ POSE_2, D1, D2))),
-        "# calibration\n"
-        + "".join(
-            numbered(f"{name}:", value)
-            for name, value in zip(("K1", "D1", "K2", "D2", "R", "T"), PARTS.values(), strict=True)
-        ),
-        "".join(
-            f"{name} = [{'; '.join(' '.join(f'{x:.12g}' for x in row) for row in np.atleast_2d(value))}];\n"
-            for name, value in PARTS.items()
-        ),
-    ],
-    ids=["R and T", "pose", "two poses", "projection matrices", "labels", "matlab"],
-)
-def test_numbers_in_a_text_are_read(tmp_path: Path, text: str) -> None:
-    (tmp_path / "calibration.txt").write_text(text)
-    same(Source(files=(tmp_path / "calibration.txt",)).pair())
-
-
-def camera_info(K: Any, D: Any, size: tuple[int, int], R_rect: Any, P: Any, **changes: Any) -> str:
-    def matrix(value: Any) -> dict[str, Any]:
-        array = np.atleast_2d(value)
-        return {"rows": len(array), "cols": array.shape[1], "data": array.ravel().tolist()}
-
-    info = {
-        "image_width": size[0],
-        "image_height": size[1],
-        "camera_name": "narrow_stereo",
-        "camera_matrix": matrix(K),
-        "distortion_model": "plumb_bob",
-        "distortion_coefficients": matrix(D),
-        "rectification_matrix": matrix(R_rect),
-        "projection_matrix": matrix(P),
-    }
-    return str(yaml.safe_dump(info | changes))
-
-
-def test_ros_camera_infos_of_a_pair_are_read_in_metres(tmp_path: Path) -> None:
-    metres = T[:, None] / 1000.0
-    R1, R2, P1, P2, *_ = cv2.stereoRectify(
-        K1, np.array(D1), K2, np.array(D2), (2592, 1944), R, metres
-    )
-    left, right = tmp_path / "left.yaml", tmp_path / "right.yaml"
-    left.write_text(camera_info(K1, D1, (2592, 1944), R1, P1))
-    right.write_text(camera_info(K2, D2, (1280, 800), R2, P2))
-    pair = Source(files=(left, right)).pair()
-    same(pair)
-    assert (pair.first.size, pair.second.size) == ((2592, 1944), (1280, 800))
-    right.write_text(camera_info(K2, D2, (1280, 800), R2, P2, distortion_model="equidistant"))
-    with pytest.raises(FileError, match="distortion model 'equidistant'"):
-        Source(files=(left, right)).pair()
-    right.write_text(camera_info(K2, D2, (1280, 800), np.eye(3), P1))
-    with pytest.raises(FileError, match="no baseline"):
-        Source(files=(left, right)).pair()
-
-
-def colmap(
-    folder: Path, models: tuple[str, str] = ("OPENCV", "OPENCV"), names: Any = None
-) -> Source:
-    """COLMAP's two texts of the rig of `PARTS`, k3 apart, seen from a world of its own, with lengths in metres."""
-    params = [
-        " ".join(f"{x:.17g}" for x in (K[0, 0], K[1, 1], K[0, 2] + 0.5, K[1, 2] + 0.5, *D[:4]))
-        for K, D in ((K1, D1), (K2, D2))
-    ]
-    cameras = [
-        f"{n} {models[n - 1]} {w} {h} {params[n - 1]}"
-        for n, (w, h) in ((1, SIZES["cam_size"]), (2, SIZES["pro_size"]))
-    ]
-    (folder / "cameras.txt").write_text("# Camera list\n" + "\n".join(cameras) + "\n")
-    lines = []
-    for n, (pose, camera) in enumerate(((POSE_1, 1), (POSE_2, 2), (POSE_1 * 2.0, 1)), 1):
-        rotation = Rotation.from_matrix(pose[:, :3] / np.cbrt(np.linalg.det(pose[:, :3])))
-        x, y, z, w = rotation.as_quat()
-        t = " ".join(f"{v / 1000.0:.17g}" for v in pose[:, 3])
-        lines += [
-            f"{n} {w:.17g} {x:.17g} {y:.17g} {z:.17g} {t} {camera} im {n}.png",
-            "10.5 20.5 -1 3 4 7" if n == 1 else "",
-        ]
-    (folder / "images.txt").write_text(
-        "# Image list\n" + "\n".join(lines if names else lines[:4]) + "\n"
-    )
-    return Source(
-        files=(folder / "cameras.txt", folder / "images.txt"), mm_per_unit=1000.0, names=names or {}
-    )
-
-
-@pytest.mark.parametrize("names", [None, {"first_matrix": "im 1.png", "second_matrix": "im 2.png"}])
-def test_colmap_texts_are_read(tmp_path: Path, names: Any) -> None:
-    pair = colmap(tmp_path, names=names).pair()
-    np.testing.assert_allclose(pair.first.matrix, K1)
-    np.testing.assert_allclose(pair.second.matrix, K2)
-    np.testing.assert_allclose(pair.second.distortion, (*D2[:4], 0.0))
-    np.testing.assert_allclose(pair.R, R, atol=1e-12)
-    np.testing.assert_allclose(pair.t_mm, T, rtol=1e-12)
-    assert (pair.first.size, pair.second.size) == ((2592, 1944), (1280, 800))
-
-
-def test_colmap_texts_without_scale_images_or_known_lens_are_refused(tmp_path: Path) -> None:
-    good = colmap(tmp_path)
-    with pytest.raises(FileError, match="no unit: set mm_per_unit"):
-        good.model_copy(update={"mm_per_unit": None}).pair()
-    with pytest.raises(FileError, match=r"both cameras\.txt and images\.txt"):
-        good.model_copy(update={"files": good.files[:1]}).pair()
-    with pytest.raises(FileError, match=r"no image 'im 3\.png'"):
-        good.model_copy(update={"names": {"first_matrix": "im 3.png"}}).pair()
-    with pytest.raises(FileError, match="say which two"):
-        colmap(tmp_path, names={"rotation": "R"}).pair()
-    with pytest.raises(FileError, match="OPENCV_FISHEYE is not Brown's"):
-        colmap(tmp_path, ("OPENCV_FISHEYE", "OPENCV")).pair()
+    pair_of(write(tmp_path / "rig.yml", PARTS | SIZES | extra))

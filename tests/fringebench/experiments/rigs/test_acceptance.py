@@ -4,13 +4,12 @@ import json
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import scenes
-from fringebench.cli.app import app
 from fringebench.experiments.rigs.acceptance import BARS, PLANES, SPHERE, _ends, accept
 from fringebench.experiments.rigs.shared_field import common_field
 from scenes.support.errors import SceneError
+from tests.conftest import Call
 
 SMALL = {"camera.resolution": [320, 240], "sampling.samples": 16}
 
@@ -47,13 +46,11 @@ def test_rig_without_faults_measures_to_its_noise() -> None:
 
 
 @pytest.mark.slow
-def test_error_above_the_limit_is_exit_status_1() -> None:
-    arguments = ["accept", "step", "--json", "--limit-um", "1"]
-    for key, value in SMALL.items():
-        arguments += ["--set", f"{key}={value}"]
-    result = CliRunner().invoke(app, arguments)
-    assert result.exit_code == 1
-    answer = json.loads(result.stdout)
+def test_error_above_the_limit_is_exit_status_1(call: Call) -> None:
+    settings = [f"--set={key}={value}" for key, value in SMALL.items()]
+    status, out, _ = call("accept", "step", "--json", "--limit-um", 1, *settings)
+    assert status == 1
+    answer = json.loads(out)
     assert answer["worst_mm"]["flatness"] > 1e-3
     assert {p["artefact"] for p in answer["positions"]} == {"ball bar", "plane"}
 
