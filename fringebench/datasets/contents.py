@@ -30,6 +30,16 @@ def read_manifest(store: Store) -> Manifest | None:
     return Manifest.of_bytes(content, f"{store.where}/{MANIFEST_FILE}")
 
 
+def finished(store: Store, plan: DatasetPlan) -> Manifest:
+    """The manifest, if it lists all samples of the plan; `DatasetError` for a set that a run has yet to finish."""
+    listed = read_manifest(store)
+    if listed is None or len(listed.records) < plan.count:
+        raise DatasetError(
+            f"the data set at '{store.where}' is not finished: run fringebench dataset again to continue it"
+        )
+    return listed
+
+
 def records_of(store: Store) -> dict[int, Record]:
     """Index -> record of every sample made so far: the manifest's, and those since. A damaged one counts as none."""
     try:

@@ -8,20 +8,24 @@ from pathlib import Path
 
 import numpy as np
 
+from evaluation.output.height_image import HeightCode
 from evaluation.output.report import Grid, Listing, Paragraph, Section
+from fringebench.datasets.dataset_plan import HEIGHTS, MODULATION
 from fringebench.datasets.manifest import MANIFEST_FILE
+from fringebench.datasets.pictures import modulation_step_dn
 from fringebench.datasets.reader import Dataset, Sample
 from fringebench.datasets.shards import SHARDS
 from fringebench.datasets.store import open_store
 from scenes.labels.coco_format import CATEGORIES, IPC_NAMES
+from scenes.scene import Scene
 
 CARD_FILE = "README.md"
 # Ends of the classes of area ratio; 0.66 is IPC-7525's limit.
 RATIOS = (0.0, 0.5, 0.66, 1.0, np.inf)
 LIMITS = (
     "Rendered, not photographed: a model trained on it needs a test on real boards before it is used.",
-    "Deposits are height fields without overhangs; the mask follows copper in vertical steps; there are no parts, "
-    "legend, drill holes or vias.",
+    "Deposits are height fields without overhangs; the mask follows copper in vertical steps; there are no parts; legend, "
+    "holes and fiducials only where the plan has them.",
     "How volumes scatter with area ratio is a model with one published anchor (documentation, page on boards), "
     "unless the plan states a table.",
     "Defects are drawn at the stated probabilities, which are higher than on a real line, and independently of each other.",
@@ -64,12 +68,14 @@ def card_sections(found: Dataset[Sample]) -> list[Section]:
     camera = scene.camera.projection()
     width, height = scene.camera.resolution
     x0, x1 = camera.points_at(0.0)[height // 2, [0, -1], 0]
-    sensor = {"kind": scene.sensor.kind} | scene.sensor.model_dump(exclude_defaults=True)
+    sensor = {key: value for key, value in scene.sensor.model_dump().items() if value}
     content = [
         ["picture", f"{width} x {height} px, {1e3 * abs(x1 - x0) / (width - 1):.1f} um per pixel"],
         ["frames", f"{len(scene.frames)} per exposure, {len(scene.projectors)} projector(s)"],
         ["sensor", ", ".join(f"{key} {value}" for key, value in sensor.items())],
         ["files of a sample", ", ".join(plan.sample_files)],
+        *([[HEIGHTS[0], str(HeightCode.of_range(*scene.height_range_mm))]] if plan.heights else []),
+        *([[MODULATION, _modulation(scene)]] if plan.modulation else []),
         ["samples per light", str(plan.variants)],
     ]
     balance = [
@@ -96,6 +102,11 @@ def card_sections(found: Dataset[Sample]) -> list[Section]:
         ),
     ]
     return sections
+
+
+def _modulation(scene: Scene) -> str:
+    step_dn = modulation_step_dn(scene.sensor)
+    return f"modulation_dn = {step_dn:.9g} * number; 0: no modulation"
 
 
 def _volumes(shares: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> Grid:
@@ -137,6 +148,6 @@ def _markdown(block: object) -> Sequence[str]:
         rule = "|" + " --- |" * len(block.columns)
         return [*([block.caption + ":", ""] if block.caption else []), head, rule, *rows, ""]
     if isinstance(block, Listing):
-        return [f"{block.title}:", "", "```toml", block.text.rstrip(), "```", ""]
+        return ["", f"{block.title}:", "", "```toml", block.text.rstrip(), "```", ""]
     assert isinstance(block, Paragraph)
     return [f"- {block.text}"]

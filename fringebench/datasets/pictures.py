@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from scenes.acquisition.sensor import Sensor
 from scenes.files.stack import Stack
 from scenes.support.atomic_file import replacing
 
@@ -35,17 +36,19 @@ def srgb(linear: NDArray[np.floating]) -> NDArray[np.uint8]:
     return picture
 
 
-def modulation_step_dn(stack: Stack) -> float:
+def modulation_step_dn(sensor: Sensor) -> float:
     """DN per number of ``modulation.png``: 16 bits reach to the sensor's end; to 256 DN if it does not round.
 
     A power of two, the same for all samples of a sensor.
     """
-    return float(2.0 ** ((stack.sensor.bits or 8) - 16))
+    return float(2.0 ** ((sensor.bits or 8) - 16))
 
 
 def modulation_picture(modulation_dn: NDArray[np.floating], stack: Stack) -> NDArray[np.uint16]:
     """Modulation (row, col) as numbers, within half a step; 0 where it is not known, 65535 for that or more."""
-    number = np.nan_to_num(modulation_dn.astype(np.float64), nan=0.0) / modulation_step_dn(stack)
+    number = np.nan_to_num(modulation_dn.astype(np.float64), nan=0.0) / modulation_step_dn(
+        stack.sensor
+    )
     return np.rint(np.clip(number, 0.0, 65535.0)).astype(np.uint16)
 
 

@@ -13,7 +13,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
 
-from fringebench.datasets.contents import read_manifest, read_plan
+from fringebench.datasets.contents import finished, read_plan
 from fringebench.datasets.manifest import MANIFEST_FILE
 from fringebench.datasets.pictures import read_png
 from fringebench.datasets.sample import Record
@@ -169,11 +169,7 @@ class Dataset(Generic[T]):
         """The folder or URL."""
         self.plan = read_plan(self._store)
         """The plan it was made from."""
-        listed = read_manifest(self._store)
-        if listed is None:
-            raise DatasetError(
-                f"the data set at '{where}' is not finished: run fringebench dataset again to continue it"
-            )
+        listed = finished(self._store, self.plan)
         if split is not None and split not in self.plan.splits:
             raise DatasetError(
                 f"no split '{split}' in '{where}': {nearest(split, self.plan.splits)}"

@@ -171,7 +171,10 @@ class _Content:
             code = HeightCode.of_range(*drawn.height_range_mm)
             labels["height_png"] = asdict(code) | {"no_height": 0}
         if plan.modulation:
-            labels["modulation_png"] = {"step_dn": modulation_step_dn(stack), "no_modulation": 0}
+            labels["modulation_png"] = {
+                "step_dn": modulation_step_dn(stack.sensor),
+                "no_modulation": 0,
+            }
         measured = decode.reconstruct(stack) if plan.heights or plan.modulation else None
         return cls(drawn, stack, truth, measured, labels, colour)
 

@@ -7,7 +7,7 @@ import io
 import tarfile
 from pathlib import Path
 
-from fringebench.datasets.contents import read_manifest, read_plan
+from fringebench.datasets.contents import finished, read_plan
 from fringebench.datasets.store import open_store
 from scenes.support.errors import DatasetError
 
@@ -21,9 +21,8 @@ def write_shards(where: str | Path, samples: int = 100) -> dict[str, int]:
     The same data set gives the same bytes. Raises `DatasetError` if it is not finished, or a sample's file is missing.
     """
     store = open_store(where)
-    plan, listed = read_plan(store), read_manifest(store)
-    if listed is None:
-        raise DatasetError(f"the data set at '{where}' is not finished: continue it first")
+    plan = read_plan(store)
+    listed = finished(store, plan)
     store.remove(SHARDS)
     written = {}
     for split in plan.splits:

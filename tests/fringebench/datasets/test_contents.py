@@ -16,6 +16,7 @@ import render
 import scenes
 from fringebench.datasets.dataset_plan import DatasetPlan
 from fringebench.datasets.sample import Record
+from fringebench.datasets.shards import write_shards
 from scenes.support.errors import DatasetError
 
 FILES = {"stack.exr", "truth.exr", "scene.toml", "labels.json", "picture.png"}
@@ -137,6 +138,15 @@ def test_reader_can_be_pickled(undisturbed: Path) -> None:
 
 def _as_arrays(sample: "fringebench.datasets.reader.Sample") -> dict[str, np.ndarray]:
     return {"frames": sample.frames.astype(np.float32), "height_mm": sample.truth.height_mm}
+
+
+def test_set_that_a_run_has_yet_to_grow_is_refused(copy: Path) -> None:
+    # A run writes the plan first and the manifest last; between the two the manifest lists the old samples.
+    text = (copy / "dataset.toml").read_text()
+    (copy / "dataset.toml").write_text(text.replace("count = 6", "count = 9"))
+    for use in (fringebench.Dataset, write_shards):
+        with pytest.raises(DatasetError, match="not finished"):
+            use(copy)
 
 
 def test_failed_samples_are_left_out(copy: Path) -> None:

@@ -24,7 +24,7 @@ def varied(plan: DatasetPlan, tmp_path_factory: pytest.TempPathFactory) -> Path:
     where = tmp_path_factory.mktemp("varied") / "set"
     noise = {"kind": "uniform", "low": 1.0, "high": 9.0}
     scene = plan.scene | {"randomise": {"sensor.read_noise_e": noise}}
-    asked = {"variants": 2, "count": 4, "scene": scene, "ring_light": True}
+    asked = {"variants": 2, "count": 4, "scene": scene, "ring_light": True, "modulation": True}
     build(plan.model_copy(update=asked), where)
     return where
 
@@ -89,6 +89,9 @@ def test_card_counts_what_the_labels_hold(varied: Path) -> None:
     counts = [int(cell) for cell in good[0].split("|")[3:-1]]
     assert sum(counts) == sum(note["category_id"] == 1 for note in notes) > 0
     assert "sensor.read_noise_e" in text
+    assert "read_noise_e 2.5" in text
+    step_dn = Dataset(varied)[0].labels["modulation_png"]["step_dn"]
+    assert f"| modulation.png | modulation_dn = {step_dn:g} * number; 0: no modulation |" in text
     front = text.split("---")[1]
     for split in {record.split for record in Dataset(varied).records}:
         assert f"path: webdataset/{split}-*.tar" in front
