@@ -176,6 +176,12 @@ class Reconstruction(Displayed):
         return bool(resolved.get("order") != ORDER_UP_TO_TURNS)
 
     @property
+    def order_note(self) -> str:
+        """A sentence for pictures and tables of heights whose fringe order is not known; empty if it is."""
+        said = f"The fringe order is {ORDER_UP_TO_TURNS}: parts may be off by whole fringes, beyond the predicted deviation."
+        return "" if self.order_known else said
+
+    @property
     def wrapped_rad(self) -> Image:
         """Wrapped phase of the measuring axis, in [-pi, pi)."""
         return self._measured.wrapped_rad

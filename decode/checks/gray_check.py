@@ -43,9 +43,12 @@ def gray_code(stack: Stack, gray: GraySet, resolution: tuple[int, int] | None) -
     yield _smoothness(look, f"{name}, order")
     if resolution is not None:
         size = resolution[0 if gray.axis == "column" else 1]
-        ambiguity = gray.ambiguity(size)
-        if ambiguity:
-            yield Finding(f"{name}, uniqueness", "wrong", ambiguity)
+        alone = not any(f.kind == "fringe" and f.axis == gray.axis for f in stack.patterns)
+        doubt = gray.ambiguity(size) or (
+            _cells_in_doubt(gray, size, max(resolution)) if alone else ""
+        )
+        if doubt:
+            yield Finding(f"{name}, uniqueness", "wrong", doubt)
         share = float(
             (
                 _codes(look.bits[:, look.good], gray.plain) * gray.cell_px + gray.origin_px >= size
@@ -62,6 +65,26 @@ def gray_code(stack: Stack, gray: GraySet, resolution: tuple[int, int] | None) -
             ),
             share,
         )
+
+
+def _cells_in_doubt(gray: GraySet, size_px: int, longest_px: int) -> str:
+    """Why no projector shows cells of that width, or needs the code's first bit; of a code alone, whose images say neither."""
+    cells, width = 2**gray.bits, gray.cell_px
+    if not (float(width).is_integer() or np.isclose(cells * width, size_px)):
+        return (
+            f"cells of {width:g} px are neither a whole number of pixels wide nor {cells} parts of the projector's {size_px} "
+            "px: correct cell_px"
+        )
+    # The same number of bits is often shown along both sides.
+    needed = (longest_px - gray.origin_px) / width
+    spare = int(np.log2(cells / needed)) if 0.0 < needed < cells else 0
+    if not spare:
+        return ""
+    return (
+        f"{gray.bits} bits of cells of {width:g} px number {cells * width:g} px, so the first bit would be dark in all of the "
+        f"projector's {longest_px:g} px: set cell_px = {width / 2**spare:g} if narrower cells were shown, or bits = "
+        f"{gray.bits - spare} and skip what never changes"
+    )
 
 
 def flats(stack: Stack, gray: GraySet) -> Iterator[Finding]:

@@ -1,8 +1,9 @@
-"""Whether neighbouring pixels agree about the fringe order: one-period jumps, and order along epipolar lines.
+"""Whether neighbouring pixels agree about the fringe order: jumps of whole periods, and order along epipolar lines.
 
 Agreement of code and phase shows nothing where the code's cells are as wide as the period: a code shifted by half a period
-then gives half of the pixels the order of the neighbouring fringe. Such errors are of exactly one period, come at the same
-phase in every fringe, and reverse the order of coordinates along an epipolar line, which no opaque surface does.
+then gives half of the pixels the order of the neighbouring fringe, and reversed fringes jump by two periods from cell to cell.
+Such errors are of whole periods, come at the same phases in every fringe, and reverse the order of coordinates along an
+epipolar line, which no opaque surface does. Fringes whose origin is wrong pass from the projector's last pixel to its first.
 """
 
 from collections.abc import Iterator
@@ -23,19 +24,24 @@ Turns = NDArray[np.float64]
 NEAR = 1.0 / 8.0
 # Share of neighbouring pixels. An order error at one boundary of each fringe of 100 px, the widest in use, makes 1 %.
 JUMPS = (0.002, 0.01)
-# Jumps of a wrong code come at one or two phases; at edges of parts they come at any: resultant length of 0.5 is beyond chance.
-CONCENTRATED = 0.5
+# Jumps of a wrong code come at one or two phases; at edges of parts they come at any: a resultant length of 0.5 is beyond
+# chance. Of two phases, one of the first four harmonics is at least 0.7 long, whatever lies between them.
+CONCENTRATED, HARMONICS = 0.5, (1, 2, 3, 4)
 # Share of the fringes in view that show jumps: a wrong code affects them all, an edge those it crosses.
 FRINGES = 0.5
 FEWEST = 100
+# Neighbours on both ends of the projector: a depth step would have to lie at both edges of the light.
+FEWEST_ENDS = 20
 # Share of pixels out of order along epipolar lines; wires and leads in the air reach a few per cent.
 DISORDER = (0.1, 0.3)
 
 
-def jumps(phase: AxisPhase, valid: NDArray[np.bool_], name: str) -> Finding:
-    """Share of smooth neighbours whose order jumps by one period, beyond what edges of parts make."""
+def jumps(phase: AxisPhase, valid: NDArray[np.bool_], size_px: float | None, name: str) -> Finding:
+    """Share of smooth neighbours whose order jumps by whole periods, beyond what edges of parts make; or from one end to
+    the other of a projector of `size_px` (None: not known).
+    """
     turns = phase.order + phase.wrapped_rad / TURN
-    pairs, found, at, orders = 0, np.zeros(3), [], []
+    pairs, excess_pairs, ends, at, orders = 0, 0.0, 0, [], []
     for image, good, wrapped in (
         (turns, valid, phase.wrapped_rad),
         (turns.T, valid.T, phase.wrapped_rad.T),
@@ -43,26 +49,35 @@ def jumps(phase: AxisPhase, valid: NDArray[np.bool_], name: str) -> Finding:
         step, smooth = _steps(image, good)
         size = np.abs(step)
         pairs += int(smooth.sum())
-        # At one period, and next to it, at a half and at three halves: there are only the edges of parts.
-        for k, centre in enumerate((1.0, 0.5, 1.5)):
-            found[k] += (smooth & (np.abs(size - centre) < NEAR)).sum()
-        row, column = np.nonzero(smooth & (np.abs(size - 1.0) < NEAR))
+        off = np.abs(size - np.round(size))
+        whole = smooth & (off < NEAR) & (size > 0.5)
+        # Between whole periods there are only the edges of parts; half a period has one whole one beside it.
+        between = smooth & (off > 0.5 - NEAR) & (size > 0.25)
+        excess_pairs += whole.sum() - between.sum() + 0.5 * (between & (size < 1.0)).sum()
+        row, column = np.nonzero(whole)
         at.append(wrapped[row, column + 2])
         orders.append(np.floor(image[row, column + 2]))
+        if size_px is not None:
+            sides = np.sort([image[row, column + 2], image[row, column + 3]], axis=0)
+            ends += int(((sides[0] < 1.0) & (sides[1] > size_px / phase.period_px - 1.0)).sum())
     if pairs < FEWEST:
         return Finding(name, "unknown", "too few pixels have valid neighbours")
-    excess = float(max(found[0] - 0.5 * (found[1] + found[2]), 0.0)) / pairs
+    excess = float(max(excess_pairs, 0.0)) / pairs
+    if ends > FEWEST_ENDS:
+        said = (
+            f"{ends} smooth neighbours see the projector's first and last {phase.period_px:g} px: a first phase, an origin or a "
+            "period is not as stated"
+        )
+        return Finding(name, "wrong", said, ends / pairs)
     phases, fringes = np.concatenate(at), np.concatenate(orders)
     if excess > JUMPS[0] and _systematic(phases, fringes, turns[valid]):
         said = (
-            f"{excess:.2%} of smooth neighbours differ by a whole period of {phase.period_px:g} px, at the same phase in "
-            "every fringe: the code is shifted against the fringes (origin_px, cell_px), or a phase or period is not as "
-            "stated"
+            f"{excess:.2%} of smooth neighbours differ by whole periods of {phase.period_px:g} px, at the same phase in "
+            "every fringe: the code is shifted against the fringes (origin_px, cell_px), or a phase, direction or period is "
+            "not as stated"
         )
         return Finding(name, graded(excess, *JUMPS), said, excess)
-    return Finding(
-        name, "ok", f"{excess:.2%} of smooth neighbours differ by a whole period", excess
-    )
+    return Finding(name, "ok", f"{excess:.2%} of smooth neighbours differ by whole periods", excess)
 
 
 def _steps(turns: Turns, good: NDArray[np.bool_]) -> tuple[Turns, NDArray[np.bool_]]:
@@ -82,7 +97,7 @@ def _steps(turns: Turns, good: NDArray[np.bool_]) -> tuple[Turns, NDArray[np.boo
 
 def _systematic(phases: NDArray[np.floating], fringes: Turns, seen: Turns) -> bool:
     """Whether jumps come at the same phases, in most of the fringes in view."""
-    together = max(abs(np.exp(1j * k * phases).mean()) for k in (1, 2))
+    together = max(abs(np.exp(1j * k * phases).mean()) for k in HARMONICS)
     _, counts = np.unique(np.floor(seen), return_counts=True)
     in_view = int((counts > counts.max() / 10).sum())
     return bool(together > CONCENTRATED and len(np.unique(fringes)) >= FRINGES * in_view)

@@ -28,10 +28,15 @@ FEWEST_TURNS = 2.0
 MOVED = 10.0
 # Of the means over parts of the axis: slope below which it is no period's, and offset from the origin in parts of the middle.
 BINS, SLOPE, PROPORTIONAL = 24, 0.003, 0.1
+# Turns in view over which what gamma, flicker or stray light do to the phase varies, and variation, in parts of the mean, below
+# which it is not theirs; flicker of 5 % moves the mean by 0.03 rad.
+QUARTER, CONSTANT, SHIFTED_RAD = 0.25, 0.15, 0.06
 # The line must explain three quarters of the mean square difference.
 LEFT = 0.5
 # Edges of cells, and neighbouring pixels on both sides of each.
 FEWEST_EDGES, FEWEST_CROSSINGS = 5, 20
+# Distance of edges and fringes, in periods, which gamma and blur do not make, and scatter of the edges in parts of it.
+APART, CLEARLY = 0.03, 0.25
 
 
 def scales(stack: Stack, rec: Reconstruction, projector: int) -> Iterator[Finding]:
@@ -119,6 +124,16 @@ def _short_field(
         and abs(offset) < PROPORTIONAL * middle
     ):
         yield Finding(name, "wrong", said + _fitting(float(slope), *sets), moved)
+        return
+    period = sets[0].period_px
+    shift = float(np.median(mean))
+    if (
+        np.ptp(at) > QUARTER * period
+        and abs(shift) > SHIFTED_RAD * period / TURN
+        and np.ptp(mean[np.bincount(which, minlength=BINS) > 0]) < CONSTANT * abs(shift)
+    ):
+        said = f"coordinates differ by {shift:.3f} px everywhere: a first phase, an origin or a period is not as stated"
+        yield Finding(name, "wrong", said, abs(shift))
 
 
 def _code(
@@ -179,6 +194,14 @@ def _code(
     said = f"widths of cells and periods differ by {moved:.3f} px along the axis"
     said += ": cell_px or a period is not as stated" if bad else ""
     yield Finding(f"{rec.axis} Gray code, scale", "wrong" if bad else "ok", said, moved)
+    shift = float(wrap(np.median(miss) * (TURN / period))) * (period / TURN)
+    apart_px = max(MOVED * sigma_px, APART * period)
+    if not bad and abs(shift) > apart_px and np.median(np.abs(left)) < CLEARLY * abs(shift):
+        said = (
+            f"the edges of the code's cells are {shift:+.3f} px from where the fringes have them: the code's or the fringes' "
+            "origin_px, or a first phase, is not as stated"
+        )
+        yield Finding(f"{rec.axis} Gray code, place", "wrong", said, abs(shift))
 
 
 def _crossings(

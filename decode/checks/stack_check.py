@@ -4,9 +4,10 @@ Every check reports what it measured and what follows from it. What a stack cann
 order) is reported as unknown, never left out. `check` is for other people's captures: a rendered stack passes by construction.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from decode.checks.agreement_check import agreement
 from decode.checks.flicker import flicker_findings
 from decode.checks.fringe_check import sinusoid
 from decode.checks.gray_check import flats, gray_code
+from decode.checks.not_verified import unverified
+from decode.checks.space_check import in_space
 from decode.codings.rewriting import as_fringes
 from decode.order.gray_cells import gray_sets
 from decode.phase.n_step import fringe_sets
@@ -31,6 +34,8 @@ class CheckReport:
     """All findings about a stack."""
 
     findings: tuple[Finding, ...]
+    not_verified: Mapping[str, str] = field(default_factory=dict)
+    """Parts of the manifest that the images cannot verify, and why: another value would give the same images."""
 
     @property
     def wrong(self) -> tuple[Finding, ...]:
@@ -45,9 +50,10 @@ class CheckReport:
                 + "\n".join(f"  {f.name}: {f.message}" for f in self.wrong)
             )
 
-    def to_dict(self) -> dict[str, list[dict[str, str | float | None]]]:
+    def to_dict(self) -> dict[str, Any]:
         """In JSON's types."""
-        return {"findings": [vars(f) for f in self.findings]}
+        findings = [vars(f) for f in self.findings]
+        return {"findings": findings, "not_verified": dict(self.not_verified)}
 
 
 def check(
@@ -102,8 +108,15 @@ def check(
         found += gray_code(stack, gray, resolution)
     if codes:
         found += flats(stack, next(iter(codes.values())))
+    if stack.calibration is not None and stack.calibration.screens:
+        said = "the rig has a screen: only what mirrors it shows an order"
+        return CheckReport((*found, Finding("agreement", "unknown", said)))
     found += agreement(stack, projector)
-    return CheckReport(tuple(found))
+    miss = None
+    if stack.calibration is not None and any(f.name.endswith("agreement") for f in found):
+        finding, miss = in_space(stack, projector)
+        found.append(finding)
+    return CheckReport(tuple(found), unverified(stack, found, miss, projector))
 
 
 def _saturation(stack: Stack) -> Iterator[Finding]:

@@ -79,14 +79,13 @@ def harmonics(stack: Stack, fringes: FringeSet, exposure: int = 0) -> Harmonics:
     steps = len(shifts)
     free = steps - 3
     variance = stack.sensor.variance_dn2(a, stack.exposure_ms[exposure])
-    relative = (samples - fit) / modulation
     # Ratios of means, not means of ratios: pixels in which blur leaves hardly a fringe say little about the frames.
     power = np.mean(modulation**2)
     residual = float(np.sqrt(np.mean((samples - fit) ** 2) / power))
     noise = float(np.sqrt(np.mean(variance) / power * free / steps))
     share = 0.0
     if free:
-        second, error, share = _from_residual(relative, phase, fringes)
+        second, error, share = _from_residual(samples - fit, modulation, phase, fringes)
     else:
         second, error = _from_histogram(phase, shifts)
     gamma = _gamma(second, fringes) if np.isfinite(second) else nothing
@@ -181,19 +180,21 @@ def _measured(gamma: float, fringes: FringeSet, true: NDArray[np.float64]) -> ND
 
 
 def _from_residual(
-    relative: NDArray[np.float64], phase: NDArray[np.float64], fringes: FringeSet
+    left_dn: NDArray[np.float64],
+    modulation: NDArray[np.float64],
+    phase: NDArray[np.float64],
+    fringes: FringeSet,
 ) -> tuple[float, float, float]:
     """Second harmonic by least squares over all pixels: what of cos 2(phi + shift) a sinusoid's fit leaves; its error, its residual."""
     shifts = np.asarray(fringes.shifts_rad)
     left_over = np.eye(len(shifts)) - fringe_design(shifts) @ solution(fringes)
-    shape = left_over @ np.cos(2.0 * (phase + shifts[:, None]))
-    power = float((shape**2).sum())
-    if power < 1e-9 * shape.size:
+    shape = modulation * (left_over @ np.cos(2.0 * (phase + shifts[:, None])))
+    power, whole = float((shape**2).sum()), float((modulation**2).sum())
+    if power < 1e-9 * whole * len(shifts):
         return float("nan"), float("nan"), 0.0
-    second = float((shape * relative).sum() / power)
-    left = relative - second * shape
-    share = abs(second) * float(np.sqrt(power / shape.size))
-    return second, float(np.sqrt(np.mean(left**2) / power)), share
+    second = float((shape * left_dn).sum() / power)
+    share = abs(second) * float(np.sqrt(power / (whole * len(shifts))))
+    return second, float(np.sqrt(np.mean((left_dn - second * shape) ** 2) / power)), share
 
 
 def _from_histogram(phase: NDArray[np.float64], shifts: NDArray[np.float64]) -> tuple[float, float]:
@@ -220,8 +221,8 @@ def _gamma(second: float, fringes: FringeSet) -> float:
         a, c, s = solution(fringes) @ samples
         modulation, phase = np.hypot(c, s), np.arctan2(s, c)
         if len(shifts) > 3:
-            relative = (samples - a - modulation * np.cos(phase + shifts)) / modulation
-            return _from_residual(relative, phase, fringes)[0] - second
+            left = samples - a - modulation * np.cos(phase + shifts)
+            return _from_residual(left, modulation, phase, fringes)[0] - second
         return _from_histogram(phase, shifts[:, 0])[0] - second
 
     low, high = RANGE

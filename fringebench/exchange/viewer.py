@@ -216,7 +216,9 @@ def _truth(path: str | Path) -> FileView:
 
 def _reconstruction(rec: decode.Reconstruction, truth: scenes.Truth | None) -> FileView:
     height = np.where(rec.valid, rec.height_mm, np.nan)
-    panels = [Panel("Height", height, "mm", caption="Measured height; gray pixels were rejected.")]
+    note = rec.order_note and f" {rec.order_note}"
+    caption = f"Measured height; gray pixels were rejected.{note}"
+    panels = [Panel("Height", height, "mm", caption=caption)]
     if truth is not None:
         error = height_error_mm(rec, truth) * UM_PER_MM
         title = "Height error (measured − true)"
@@ -225,7 +227,11 @@ def _reconstruction(rec: decode.Reconstruction, truth: scenes.Truth | None) -> F
     if rec.phases:
         panels += [
             Panel("Wrapped phase", rec.wrapped_rad, "rad", "twilight", (-np.pi, np.pi)),
-            Panel("Absolute phase", np.where(rec.valid, rec.phase_rad, np.nan), "rad"),
+            Panel(
+                "Phase up to whole turns" if note else "Absolute phase",
+                np.where(rec.valid, rec.phase_rad, np.nan),
+                "rad",
+            ),
         ]
     panels += [
         Panel(title, values, unit)
@@ -252,6 +258,7 @@ def _reconstruction(rec: decode.Reconstruction, truth: scenes.Truth | None) -> F
     facts = [
         *_about("", height.shape),
         ["valid", f"{100 * float(rec.valid.mean()):.2f} %"],
+        *([["caution", rec.order_note]] if note else []),
         *(
             [f"rejected: {n}", f"{100 * f:.2f} %"]
             for n, f in rec.reason_fractions().items()
@@ -268,7 +275,7 @@ def _reconstruction(rec: decode.Reconstruction, truth: scenes.Truth | None) -> F
         tail = "" if truth is None else ", truth and error"
         surface = Surface(
             height, None if truth is None else truth.height_mm, rec.xyz_mm,
-            f"Measured heights; drag to turn, hover for pixel, height{tail}.",
+            f"Measured heights; drag to turn, hover for pixel, height{tail}.{note}",
         )  # fmt: skip
     return FileView("reconstruction", facts, panels, surface=surface)
 

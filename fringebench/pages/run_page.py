@@ -88,6 +88,7 @@ def run_report(run: Run, spent: Mapping[str, float]) -> Report:
             Section(
                 "Height",
                 [
+                    *([Paragraph(rec.order_note)] if rec.order_note else []),
                     Picture(drawn["height"], CAPTIONS["height"]),
                     Picture(reason_map(rec), "Where heights are given, and why not elsewhere."),
                     _surface(rec, truth),
@@ -106,7 +107,10 @@ def _phases(rec: decode.Reconstruction) -> list[Block]:
     wrapped, absolute = phase_figures(rec)
     return [
         Picture(wrapped, "Phase of the finest fringes, before unwrapping."),
-        Picture(absolute, "Phase after unwrapping: the projector column seen by each pixel."),
+        Picture(
+            absolute,
+            rec.order_note or "Phase after unwrapping: the projector column seen by each pixel.",
+        ),
     ]
 
 

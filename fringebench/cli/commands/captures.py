@@ -1,6 +1,5 @@
 """The commands that let real captures in: import, stereo."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -45,41 +44,14 @@ def import_capture(
     equalise: Divide out a source that flickers or drifts between frames.
     as_json: Print the checks and the stack's data as JSON.
     """
-    import numpy as np
-
-    from decode.checks import flicker, stack_check
-    from decode.codings.rewriting import as_fringes
-    from decode.phase.gamma import response
-    from decode.pipeline import camera_view
+    from fringebench.exchange.capture_import import checked
     from scenes.files.capture import Capture
 
     steps = progress_steps(progress)
     if not check:
         check_outputs({"-o": output}, [manifest])
-    capture = Capture.load(manifest)
-    with steps.step("read images"):
-        imported = capture.imported()
-    findings = list(imported.findings)
-    stack = imported.stack
-    pair = any(frame.camera for frame in stack.patterns)
-    views = tuple(camera_view(stack, c) for c in (0, 1)) if pair else (stack,)
-    if equalise:
-        with steps.step("equalise"):
-            # Of coarse fringes, whose factors are not seen, this is known only before.
-            findings += [f for view in views for f in flicker.orders_in_doubt(view)]
-            views = tuple(flicker.equalise(view) for view in views)
-    gamma = response(as_fringes(views[0]).stack) if capture.gamma is None else capture.gamma
-    views = tuple(replace(view, gamma=gamma) for view in views)
-    frames = np.concatenate([view.frames for view in views], axis=1) if pair else views[0].frames
-    stack = replace(stack, frames=frames, gamma=gamma)
-    # Brightness from step to step says nothing where one image gave all four.
-    shots = [f.name.replace("single shot", "brightness") for f in imported.findings]
-    for name, view in zip(("first view, ", "second view, ") if pair else ("",), views, strict=True):
-        with steps.step(f"{name}check"):
-            found = stack_check.check(view, capture.projector_resolution)
-        named = (replace(f, name=f"{name}{f.name}") for f in found.findings)
-        findings += [f for f in named if f.name not in shots]
-    report = stack_check.CheckReport(tuple(findings))
+    found = checked(Capture.load(manifest), equalise, steps)
+    stack, report = found.stack, found.report
     if as_json:
         written = None if check or (report.wrong and not force) else str(output)
         print_json({"stack": written, **_described(stack), **report.to_dict()})
@@ -90,6 +62,10 @@ def import_capture(
             verdict = f"[{style}]{finding.verdict}[/]"
             table.add_row(escape(finding.name), verdict, escape(finding.message))
         print_figures([table])
+        if report.not_verified:
+            say("The images cannot show whether these parts of the manifest are right:")
+            for key, why in report.not_verified.items():
+                say(f"  {key}: {why}")
     if check:
         raise typer.Exit(1 if report.wrong else 0)
     if not force:

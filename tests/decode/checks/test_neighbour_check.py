@@ -1,12 +1,13 @@
 """Order errors that code and phase agree on: seen by their neighbours, and along epipolar lines."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import decode
-from scenes.acquisition.patterns import GrayBits, PhaseShift
+from scenes.acquisition.patterns import Frame, GrayBits, PhaseShift
 from scenes.acquisition.sensor import SimpleSensor
 from scenes.files.stack import Stack
 from scenes.rig.calibration import Calibration
@@ -53,6 +54,39 @@ def test_code_shifted_against_the_fringes_is_wrong(shift_px: float, calibrated: 
     found = finding(stack, "columns, neighbours")
     assert found.verdict == "wrong"
     assert "code is shifted" in found.message
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda f: replace(f, phase_shift_rad=-f.phase_shift_rad),
+        # Jumps at two phases, 120 degrees apart: neither they nor twice them add up.
+        lambda f: replace(f, phase_shift_rad=f.phase_shift_rad + 2.0 * np.pi / 3.0),
+    ],
+    ids=["direction", "first phase"],
+)
+def test_fringes_that_contradict_a_code_of_their_own_width_are_wrong(
+    change: Callable[[Frame], Frame],
+) -> None:
+    stack = coded(CELL_IS_PERIOD, 0.0, hills(SIZE), level_rig())
+    stated = tuple(change(f) if f.kind == "fringe" else f for f in stack.patterns)
+    plain = replace(stack, calibration=None, projector_resolution=(400, 400), patterns=stated)
+    assert finding(plain, "columns, neighbours").verdict == "wrong"
+
+
+def test_smooth_surface_that_sees_both_ends_of_the_projector_is_wrong() -> None:
+    """25 of 400 px's 24, 25 and 28 fringes half a period off fit coordinates that are 200 px off, modulo 400."""
+    shown = PhaseShift(periods_px=(400 / 28, 400 / 25, 400 / 24))
+    stack = coded(shown, 0.0, hills(SIZE), level_rig())
+    stack = replace(stack, calibration=None, projector_resolution=(400, 400))
+    assert finding(stack, "columns, neighbours").verdict == "ok"
+    stated = tuple(
+        replace(f, phase_shift_rad=f.phase_shift_rad + np.pi) if f.period_px == 16.0 else f
+        for f in stack.patterns
+    )
+    found = finding(replace(stack, patterns=stated), "columns, neighbours")
+    assert found.verdict == "wrong"
+    assert "first and last" in found.message
 
 
 @pytest.mark.parametrize("patterns", [CELL_IS_PERIOD, HALF_CELLS])

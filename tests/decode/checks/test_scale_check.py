@@ -102,3 +102,40 @@ def test_period_is_compared_with_cells_of_its_own_width(span_px: float, factor: 
     )
     assert not wrong_scales(stack)
     assert check(stated(stack, 16.0, factor)).wrong
+
+
+@pytest.mark.parametrize("steps", [3, 4])
+@pytest.mark.parametrize("degrees", [0.0, 4.5, -4.5])
+def test_first_phase_of_less_than_a_turn_of_coarse_fringes_is_compared(
+    steps: int, degrees: float
+) -> None:
+    """4.5 degrees of 1024 px are 13 px, a fifth of the finer fringes, so all orders agree."""
+    stack = taken(PhaseShift(steps=steps, periods_px=(64.0, 1024.0)), 300.0)
+    patterns = tuple(
+        replace(f, phase_shift_rad=f.phase_shift_rad + np.deg2rad(degrees))
+        if f.period_px == 1024.0
+        else f
+        for f in stack.patterns
+    )
+    found = check(replace(stack, patterns=patterns)).wrong
+    assert bool(found) == (degrees > 0.0)
+
+
+@pytest.mark.parametrize("origin_px", [0.0, 1.5, -3.0])
+@pytest.mark.parametrize("cell_px", [10.0, 20.0])
+def test_code_and_fringes_of_different_origins_are_wrong(origin_px: float, cell_px: float) -> None:
+    """Less than a quarter of a period, so that half cells give every pixel the right order: but which origin is right?"""
+    stack = taken(
+        PhaseShift(periods_px=(20.0,), gray=GrayBits(bits=7, cell_px=cell_px)), span_px=300.0
+    )
+    patterns = tuple(
+        replace(f, phase_shift_rad=f.phase_shift_rad - 2.0 * np.pi * origin_px / 20.0)
+        if f.kind == "fringe"
+        else f
+        for f in stack.patterns
+    )
+    found = [f for f in check(replace(stack, patterns=patterns)).wrong if "place" in f.name]
+    assert len(found) == (origin_px != 0.0)
+    # 20 crossings or more at each of 15 edges, by pixels of 1.5 px: the mean of 300 uniform numbers is good to 0.03 px.
+    if found:
+        assert found[0].value == pytest.approx(abs(origin_px), abs=0.15)

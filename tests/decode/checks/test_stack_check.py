@@ -225,6 +225,33 @@ def test_gray_code_shorter_than_the_projector_is_wrong_and_not_decoded() -> None
     assert decode.reconstruct(short, anchor="gray").valid.any()
 
 
+@pytest.mark.parametrize(
+    ("bits", "cell_px", "said"),
+    [
+        ((9,), 0.9, "neither a whole number"),
+        ((9,), 1.5, "neither a whole number"),
+        ((9,), 2.0, "set cell_px = 1 if"),
+        ((10,), 1.0, "bits = 9"),
+        # Half of the code's range is enough for neither side; 512 parts of 400 px; one number of bits for both sides.
+        ((9,), 1.0, ""),
+        ((9,), 400 / 512, ""),
+        ((8,), 3.0, ""),
+    ],
+)
+def test_width_of_a_code_alone_must_be_one_that_a_projector_shows(
+    bits: tuple[int, ...], cell_px: float, said: str
+) -> None:
+    at_px = np.broadcast_to(np.linspace(60.0, 180.0, 240), (20, 240))
+    shown = GrayCode(bits=bits, cell_px=cell_px)
+    light = np.stack([shown.commanded(f, at_px) for f in shown.frames()])
+    counts = (20.0 + 160.0 * light).astype(np.uint8)[None]
+    sensor = SimpleSensor(sigma_dn=1.0)
+    stack = Stack(counts, shown.frames(), (1.0,), sensor, projector_resolution=(400, 300))
+    found = [f.message for f in check(stack).wrong]
+    assert len(found) == bool(said)
+    assert said in " ".join(found)
+
+
 def test_gray_code_without_a_known_projector_is_decoded() -> None:
     assert decode.reconstruct(
         replace(large(GrayCode(bits=(8, 8), **BOTH)), calibration=None), height="phase"

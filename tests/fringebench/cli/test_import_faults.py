@@ -14,22 +14,13 @@ import pytest
 import tomli_w
 
 import decode
-from fringebench.exchange.capture_export import export
 from scenes.acquisition.patterns import Frame, GrayBits, GrayCode, Patterns, PhaseShift
-from scenes.acquisition.sensor import SimpleSensor
 from scenes.files.capture import Capture
-from scenes.files.stack import Stack
 from scenes.support.safe_parse import parse_toml
 from tests.conftest import Call
-from tests.decode.synthetic import coordinates, hills, rig
+from tests.fringebench.planted_faults import HEIGHT_MM, RIG, Manifest, Shot, sets
 
-Manifest = dict[str, Any]
 Change = Callable[[Manifest], Any]
-SIZE = (200, 150)
-RIG = rig("pinhole", "pinhole", lenses=True, size=SIZE)
-HEIGHT_MM = hills(SIZE)
-# Without the step on the right.
-HEIGHT_MM[:, 174:] = HEIGHT_MM[:, 173:174]
 PATTERNS: dict[str, Patterns] = {
     "periods": PhaseShift(steps=4, periods_px=(16.0, 64.0, 400.0)),
     "both axes": PhaseShift(steps=4, periods_px=(16.0, 64.0, 400.0), axes=("column", "row")),
@@ -52,22 +43,9 @@ def capture(
 ) -> Path:
     """Images of a smooth, unevenly bright surface, and their manifest."""
     patterns = PATTERNS[name]
-    rng = np.random.default_rng(5)
-    at_px = dict(zip(("column", "row"), coordinates(RIG, HEIGHT_MM), strict=True))
-    white = white_dn * rng.uniform(0.8, 1.0, HEIGHT_MM.shape) * np.linspace(1.0, 0.7, SIZE[0])
-    counts = []
-    for frame in patterns.frames():
-        at = at_px[frame.axis] + (code_px if frame.kind == "gray" else 0.0)
-        light = 10.0 + gain(frame) * white * (0.05 + 0.95 * patterns.commanded(frame, at))
-        noisy = np.round(light + rng.normal(0.0, 1.0, light.shape))
-        counts.append(np.clip(noisy, 0.0, top_dn).astype(np.uint8))
-    sensor = SimpleSensor(sigma_dn=1.0, black_level_dn=10.0)
-    manifest = export(Stack(np.stack(counts)[None], patterns.frames(), (1.0,), sensor, RIG), folder)
-    # As a user would write it: the program has to find the saturation.
-    return changed(
-        manifest,
-        lambda m: m.update(noise_dn=1.0) or [m.pop(k) for k in ("sensor", "saturation_dn")],
-    )
+    gains = tuple(gain(frame) for frame in patterns.frames())
+    shot = Shot(patterns, white_dn=white_dn, top_dn=top_dn, code_px=code_px, gains=gains)
+    return shot.write(folder)
 
 
 def changed(manifest: Path, change: Change) -> Path:
@@ -89,10 +67,6 @@ def sees(call: Call, manifest: Path) -> bool:
     status = call("import", manifest, "--check", "--json")[0]
     assert status or share_beyond(manifest) <= 0.01
     return status != 0
-
-
-def sets(manifest: Manifest, kind: str) -> list[Manifest]:
-    return [shown for shown in manifest["frames"] if shown["kind"] == kind]
 
 
 @pytest.mark.slow
