@@ -1,10 +1,7 @@
 """Edges of a mirror, where a pixel's light comes from a part of its area: by how much it then looks elsewhere.
 
-A pixel averages the fringes over its area and over the lens's blur, by weights w. Where only a part of that area shows the
-screen, the measured phase is that of this part's centre, which is off the pixel's own by ``c = int x w m / int w m`` (m: 1 on
-the mirror, 0 beside it). The modulation ``M = int w m`` shows it: for Gaussian weights of variance s^2 per axis ``c = s^2 grad(M) /
-M`` exactly. The coordinate is then off by c times its change per pixel. The blur is not known well enough to correct that, but
-to predict its size.
+Where only a part of a pixel's area shows the screen, the measured phase is that of this part's centre
+(`decode.validity.uneven_light`). The blur is not known well enough to correct that, but to predict its size.
 """
 
 import cv2
@@ -13,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from decode.reason import Reason
+from decode.validity.uneven_light import SOBEL, SQUARE_PX2, relative_slope
 from scenes.acquisition.sensor import Emva, Sensor
 
 Floats = NDArray[np.float64]
@@ -22,8 +20,8 @@ Mask = NDArray[np.bool_]
 BORDER_PX = 5
 # A straight edge through the centre of a pixel leaves it half of its light, whatever the blur.
 HALF = 0.5
-# Standard deviations of a Sobel gradient, per one of a pixel, and how many of them are noise.
-SOBEL, SURE = np.sqrt(12.0) / 8.0, 2.0
+# Standard deviations of a gradient that are noise.
+SURE = 2.0
 # Reasons of pixels that see no image of the screen.
 BESIDE = (Reason.NO_IMAGE, Reason.SHADOW, Reason.DARK)
 
@@ -48,10 +46,8 @@ def shift_px(light: Floats, noise: Floats, near: Mask, sensor: Sensor) -> Floats
 
     `light` is the modulation and `noise` its relative standard deviation, both (row, col). 0 away from edges.
     """
-    lit = np.nan_to_num(light)
-    slope = np.stack([cv2.Sobel(lit, cv2.CV_64F, *way, scale=0.125) for way in ((1, 0), (0, 1))])
+    slope = relative_slope(np.nan_to_num(light))
     with np.errstate(divide="ignore", invalid="ignore"):
-        slope /= lit
         sure = 1.0 - (SURE * SOBEL * noise / np.hypot(*slope)) ** 2
     shift = blur_px2(sensor) * slope * np.sqrt(np.maximum(sure, 0.0))
     return np.where(near, np.nan_to_num(shift), 0.0)
@@ -64,12 +60,11 @@ def blur_px2(sensor: Sensor) -> float:
     Introduction to Fourier Optics, eq. 6-31), ``a = wavelength x f-number``, whose variance grows without end; it counts up to
     `BORDER_PX`.
     """
-    square = 1.0 / 12.0
     if not isinstance(sensor, Emva):
-        return square
+        return SQUARE_PX2
     airy_px = sensor.wavelength_nm * 1e-3 * sensor.f_number / sensor.pixel_um
     diffraction = 4.0 / np.pi**3 * airy_px * BORDER_PX if sensor.psf == "diffraction" else 0.0
-    return float(square + (sensor.psf_sigma_um / sensor.pixel_um) ** 2 + diffraction)
+    return float(SQUARE_PX2 + (sensor.psf_sigma_um / sensor.pixel_um) ** 2 + diffraction)
 
 
 def change_px(coordinate_px: Floats) -> Floats:

@@ -19,6 +19,7 @@ from decode.phase.n_step import TURN
 from decode.reason import Reason
 from decode.reconstruction import CAUSES, Reconstruction
 from decode.validity.limits import DIM_RAD2
+from decode.validity.uneven_light import SOBEL, SQUARE_PX2, relative_slope
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -34,9 +35,8 @@ PARTLY_LIT = 0.2
 # A pixel is mixed whose sigma of blur is above so many rad, or that deviates by so many and by so many times the region's
 # deviation (else the region is rough), and from each side by 1/8 rad (else it is a clean pixel next to an edge).
 MIXED_RAD, OUTSTANDING = 0.2, 3.5
-# The blur's variance where one period alone does not show it; a pixel's own, of its area; and noise of a 3 x 3 derivative
-# (Sobel / 8) of an image with noise of 1.
-USUAL_BLUR_PX2, LEAST_BLUR_PX2, NOISE_OF_SLOPE = 1.0, 1.0 / 12.0, 0.43
+# The blur's variance where one period alone does not show it, px^2.
+USUAL_BLUR_PX2 = 1.0
 # Phase sigma per unit of (modulation lost / modulation left), tuned likewise; and the part lost at which a pixel is stray:
 # indirect light then has half the direct light's fringes.
 PER_LOSS, STRAY_LOSS = 0.5, 1.0 / 3.0
@@ -95,8 +95,7 @@ def by_cause(rec: Reconstruction, signs: Signs) -> tuple[Reconstruction, float]:
     next_to_unlit = cv2.dilate(unlit, np.ones((3, 3), np.uint8)) > 0
     mixed = np.where(next_to_unlit, np.maximum(mixed, PARTLY_LIT * TURN * frequency * scale), mixed)
     loss, lost = _loss(signs, frequency, smooth, valid)
-    turned = _turned_rad(signs, slope) * _blur_px2(signs, frequency, smooth)
-    blur_rad = np.where(valid, BLUR * turned, 0.0)
+    blur_rad = BLUR * _blur_rad(signs, slope, _blur_px2(signs, frequency, smooth), valid)
     reason = rec.reason.copy()
     reason[valid & (loss > STRAY_LOSS)] = Reason.STRAY
     reason[outstanding | (blur_rad > MIXED_RAD)] = Reason.MIXED
@@ -185,17 +184,16 @@ def _fringes(rec: Reconstruction, period_px: float) -> tuple[Image, Image, Image
     return down, right, steepest
 
 
-def _turned_rad(signs: Signs, slope: list[Image]) -> Image:
-    """How far the gradient of brightness turns the phase, (row, col) in rad per px^2 of the blur's variance s^2.
-
-    Blurred fringes ``B cos(phi)`` have the phase ``phi + s^2 grad(phi) grad(B) / B``, to first order in s^2.
-    """
+def _blur_rad(signs: Signs, slope: list[Image], variance_px2: float, valid: Mask) -> Image:
+    """How far the phase is turned where light comes from the brighter side of a pixel's blur, (row, col) in rad."""
     if signs.level is None:
-        return np.zeros(slope[0].shape, np.float32)
-    bright = np.maximum(np.nan_to_num(signs.level), 1e-9).astype(np.float32)
-    down, right = (cv2.Sobel(bright, cv2.CV_32F, *d, ksize=3) / 8.0 for d in ((0, 1), (1, 0)))
-    noise = SURE * NOISE_OF_SLOPE * np.hypot(*slope) * np.nan_to_num(signs.sigma_rad)
-    return TURN * _beyond((slope[0] * down + slope[1] * right) / bright, noise.astype(np.float32))
+        return np.zeros(valid.shape, np.float32)
+    right, down = relative_slope(np.maximum(np.nan_to_num(signs.level, posinf=0.0), 0.0))
+    with np.errstate(invalid="ignore"):  # No light, no slope.
+        along = np.where(valid, slope[0] * down + slope[1] * right, 0.0)
+    noise = SURE * SOBEL * np.hypot(*slope) * np.where(valid, signs.sigma_rad, 0.0)
+    turned: Image = TURN * variance_px2 * _beyond(along, noise.astype(np.float32))
+    return turned
 
 
 def _blur_px2(signs: Signs, frequency: Image, smooth: Mask) -> float:
@@ -205,7 +203,7 @@ def _blur_px2(signs: Signs, frequency: Image, smooth: Mask) -> float:
     with np.errstate(divide="ignore", invalid="ignore"):
         left = np.log(signs.visibility[-1] / signs.visibility[0]) / (TURN * frequency) ** 2
     left = left[smooth & np.isfinite(left)]
-    return max(LEAST_BLUR_PX2, -2.0 * float(np.median(left))) if left.size else USUAL_BLUR_PX2
+    return max(SQUARE_PX2, -2.0 * float(np.median(left))) if left.size else USUAL_BLUR_PX2
 
 
 def _loss(signs: Signs, frequency: Image, smooth: Mask, valid: Mask) -> tuple[Image, float]:
