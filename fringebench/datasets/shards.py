@@ -1,6 +1,8 @@
 """A data set as WebDataset shards: plain tar files of whole samples, read in order and without seeking.
 
 An entry is ``000012.picture.png``: the text before the first dot is the sample's key, the rest the field's name.
+``labels.json`` is the field ``labels.txt``: Hugging Face's `datasets` makes columns of JSON, each of the type that the first
+five samples have in it, and fails on a sample whose masks are of the other kind.
 """
 
 import io
@@ -12,6 +14,7 @@ from fringebench.datasets.store import open_store
 from scenes.support.errors import DatasetError
 
 SHARDS = "webdataset"
+FIELDS = {"labels.json": "labels.txt"}
 
 
 def write_shards(where: str | Path, samples: int = 100) -> dict[str, int]:
@@ -39,7 +42,7 @@ def write_shards(where: str | Path, samples: int = 100) -> dict[str, int]:
                                 raise DatasetError(
                                     f"'{where}/{record.folder}/{file}' is missing: --repair makes it again"
                                 )
-                            entry = tarfile.TarInfo(f"{record.index:06d}.{file}")
+                            entry = tarfile.TarInfo(f"{record.index:06d}.{FIELDS.get(file, file)}")
                             entry.size = len(content)
                             shard.addfile(entry, io.BytesIO(content))
                 store.put(path, name)

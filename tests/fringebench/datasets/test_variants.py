@@ -67,7 +67,7 @@ def test_shards_hold_the_samples_files_in_order(varied: Path) -> None:
         with tarfile.open(varied / name) as shard:
             for entry in shard:
                 key, field = entry.name.split(".", 1)
-                original = varied / "samples" / key / field
+                original = varied / "samples" / key / field.replace("labels.txt", "labels.json")
                 content = shard.extractfile(entry)
                 assert content is not None
                 assert content.read() == original.read_bytes()
@@ -78,6 +78,24 @@ def test_shards_hold_the_samples_files_in_order(varied: Path) -> None:
     assert write_shards(varied, samples=1).keys() == first.keys()
     assert all((varied / name).read_bytes() == content for name, content in first.items())
     assert verify(varied) == ()
+
+
+def test_hugging_face_reads_the_shards_by_the_card(
+    varied: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    datasets = pytest.importorskip("datasets")
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+    write_shards(varied)
+    write_card(varied)
+    found = datasets.load_dataset(str(varied), cache_dir=str(tmp_path))
+    for split, rows in found.items():
+        for row, sample in zip(rows, Dataset(varied, split=split), strict=True):
+            np.testing.assert_array_equal(np.asarray(row["picture.png"]), sample.picture)
+            np.testing.assert_array_equal(np.asarray(row["colour.png"]), sample.colour)
+            step_dn = sample.labels["modulation_png"]["step_dn"]
+            numbers = np.asarray(row["modulation.png"])
+            np.testing.assert_array_equal(numbers * step_dn, sample.modulation_dn)
+            assert json.loads(row["labels.txt"]) == sample.labels
 
 
 def test_card_counts_what_the_labels_hold(varied: Path) -> None:
