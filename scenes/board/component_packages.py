@@ -17,12 +17,11 @@ from scenes.board.pad_layout import (
     Bounds,
     Layout,
     Pad,
-    cut_pads,
+    cut_layout,
     disk,
     moved,
     rectangle,
     rounded,
-    within_box,
 )
 from scenes.support.frozen import Frozen
 
@@ -220,18 +219,9 @@ def layout(
                 name = f"{part.name}-{land.name}{suffix}"
                 pads.append(Pad(len(pads) + 1, name, centre, aperture, part.names))
     window = box or board.bounds
-    frame = shapely.box(*window)
-    metal = shapely.union_all(copper)
     cleared = [shape.buffer(mask_clearance_mm, join_style="mitre") for shape in copper]
-    return Layout(
-        tuple(pad for pad in pads if within_box(pad.outline, window)),
-        metal.intersection(board).intersection(frame),
-        shapely.union_all(cleared).intersection(board).intersection(frame),
-        board.intersection(frame),
-        window,
-        cut_pads(pads, window),
-        shapely.union_all([_frame(part) for part in parts]).intersection(frame),
-    )
+    metal, bare, legend = map(shapely.union_all, (copper, cleared, [_frame(p) for p in parts]))
+    return cut_layout(pads, metal, bare, board, legend, window)
 
 
 def _frame(part: Component) -> Area:

@@ -1,6 +1,6 @@
 """A board's artwork as polygons in board coordinates (mm, y up), from Gerber files or a list of parts."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
@@ -100,6 +100,22 @@ class Layout:
             if not area.is_empty:
                 found.append((pad, area))
         return tuple(found)
+
+
+def cut_layout(
+    pads: Sequence[Pad], copper: Area, openings: Area, board: Area, legend: Area, box: Bounds
+) -> Layout:
+    """The artwork of a whole board, cut to a box."""
+    inside = board.intersection(shapely.box(*box))
+    return Layout(
+        tuple(pad for pad in pads if within_box(pad.outline, box)),
+        copper.intersection(inside),
+        openings.intersection(inside),
+        inside,
+        box,
+        cut_pads(pads, box),
+        legend.intersection(inside),
+    )
 
 
 def circle(radius_mm: float, corners: int = CIRCLE) -> NDArray[np.float64]:

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from scenes.board.defects import DefectClass
 from scenes.board.deposits import Deposit, Print
-from scenes.board.pad_layout import Damage, DamageClass, ThroughHole
+from scenes.board.pad_layout import Area, DamageClass
 from scenes.board.printing import printed
 from scenes.scene import Scene
 from scenes.support.atomic_file import replacing
@@ -66,13 +66,18 @@ class BridgeTruth(Frozen):
     """Of the part between the deposits."""
 
 
-class HoleTruth(Frozen):
-    """A hole or slot, world mm."""
+class AreaTruth(Frozen):
+    """Something flat on the board, world mm."""
 
     x_mm: float
     """Centroid."""
     y_mm: float
     area_mm2: float
+
+
+class HoleTruth(AreaTruth):
+    """A hole or slot."""
+
     size_mm: Range
     """Width and height of its bounds."""
     plated: bool
@@ -80,26 +85,19 @@ class HoleTruth(Frozen):
     """Closed by solder mask, and so without the label `hole`."""
 
 
-class FiducialTruth(Frozen):
-    """A fiducial's bare copper, world mm."""
+class FiducialTruth(AreaTruth):
+    """A fiducial's bare copper."""
 
-    x_mm: float
-    """Centroid."""
-    y_mm: float
     diameter_mm: float
     """Of the circle of its area."""
 
 
-class DamageTruth(Frozen):
-    """A fault of the bare board, world mm."""
+class DamageTruth(AreaTruth):
+    """What shows of a fault of the bare board, paste left out."""
 
     name: DamageClass
     pad: int
     """Near which it is; 0 for none."""
-    x_mm: float
-    """Centroid of what shows of it, paste left out."""
-    y_mm: float
-    area_mm2: float
 
 
 class BoardTruth(Frozen):
@@ -179,6 +177,12 @@ def board_truth(scene: Scene) -> BoardTruth:
 
 def truth_of(print_: Print) -> BoardTruth:
     """The truth of a print."""
+    origin_x, origin_y = print_.layout.centre_mm
+
+    def place(area: Area) -> dict[str, Any]:
+        middle = area.centroid
+        return {"x_mm": middle.x - origin_x, "y_mm": middle.y - origin_y, "area_mm2": area.area}
+
     bridges = tuple(
         BridgeTruth(pads=bridge.pads, volume_mm3=bridge.volume_mm3) for bridge in print_.bridges
     )
@@ -200,41 +204,27 @@ def truth_of(print_: Print) -> BoardTruth:
         pads=pads,
         bridges=bridges,
         cut=tuple(pad.id for pad in print_.layout.cut),
-        holes=tuple(_hole(hole, print_.layout.centre_mm) for hole in print_.layout.holes),
-        mask_shift_mm=print_.stackup.mask_shift_mm,
-        damage=tuple(_damage(mark, print_.layout.centre_mm) for mark in print_.layout.damage),
-        fiducials=tuple(
-            FiducialTruth(
-                x_mm=copper.centroid.x - print_.layout.centre_mm[0],
-                y_mm=copper.centroid.y - print_.layout.centre_mm[1],
-                diameter_mm=2.0 * float(np.sqrt(copper.area / np.pi)),
+        holes=tuple(
+            HoleTruth(
+                **place(hole.outline),
+                size_mm=(
+                    float(np.ptp(hole.outline.bounds[::2])),
+                    float(np.ptp(hole.outline.bounds[1::2])),
+                ),
+                plated=hole.plated,
+                tented=hole.tented,
             )
+            for hole in print_.layout.holes
+        ),
+        fiducials=tuple(
+            FiducialTruth(**place(copper), diameter_mm=2.0 * float(np.sqrt(copper.area / np.pi)))
             for copper in print_.layout.fiducials
         ),
-    )
-
-
-def _damage(mark: Damage, origin_mm: Range) -> DamageTruth:
-    middle = mark.outline.centroid
-    return DamageTruth(
-        name=mark.name,
-        pad=mark.pad,
-        x_mm=middle.x - origin_mm[0],
-        y_mm=middle.y - origin_mm[1],
-        area_mm2=mark.outline.area,
-    )
-
-
-def _hole(hole: ThroughHole, origin_mm: Range) -> HoleTruth:
-    shape = hole.outline
-    x0, y0, x1, y1 = shape.bounds
-    return HoleTruth(
-        x_mm=shape.centroid.x - origin_mm[0],
-        y_mm=shape.centroid.y - origin_mm[1],
-        area_mm2=shape.area,
-        size_mm=(x1 - x0, y1 - y0),
-        plated=hole.plated,
-        tented=hole.tented,
+        mask_shift_mm=print_.stackup.mask_shift_mm,
+        damage=tuple(
+            DamageTruth(**place(mark.outline), name=mark.name, pad=mark.pad)
+            for mark in print_.layout.damage
+        ),
     )
 
 

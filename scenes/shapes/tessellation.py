@@ -1,7 +1,6 @@
 """Polygons cut into triangles: a square lattice inside, Delaunay's triangles along the outline."""
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 import shapely
@@ -77,7 +76,9 @@ def _tessellate(polygon: shapely.Polygon, step_mm: float) -> Tessellation | None
     ]
     rim_xy = np.concatenate(rings)
     nodes, cells, shape = _lattice(polygon, step_mm)
-    depth = distance_to_outline(nodes, polygon)
+    rim = shapely.boundary(polygon)
+    shapely.prepare(rim)
+    depth = shapely.distance(shapely.points(nodes), rim)
     depth[~shapely.contains_xy(polygon, nodes)] = -1.0
     inner = (depth >= CLEARANCE * step_mm).reshape(shape)
     full = inner[:-1, :-1] & inner[:-1, 1:] & inner[1:, :-1] & inner[1:, 1:]
@@ -158,21 +159,3 @@ def _bounded(faces: Ints, border: Ints) -> bool:
     back.sort()
     free = np.setdiff1d(forth, back, assume_unique=True)
     return np.array_equal(free, np.sort(border[:, 0] * count + border[:, 1]))
-
-
-def distance_to_outline(points: Floats, polygon: shapely.Polygon) -> Floats:
-    """Distance in mm (point,), inside or outside, of points from a polygon's outer and inner rings."""
-    nearest = np.full(len(points), np.inf)
-    for ring in (polygon.exterior, *polygon.interiors):
-        corners = shapely.get_coordinates(ring)
-        for start, end in pairwise(corners):
-            along = end - start
-            offset = points - start
-            length2 = float(along @ along)
-            if length2 == 0.0:
-                continue
-            t = np.clip(offset @ along / length2, 0.0, 1.0)
-            offset = offset - t[:, None] * along
-            nearest = np.minimum(nearest, np.einsum("pi,pi->p", offset, offset))
-    root: Floats = np.sqrt(nearest)
-    return root

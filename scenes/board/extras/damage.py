@@ -25,6 +25,12 @@ SMALLEST_MM2 = 1e-4
 def damaged(board: BoardBase, layout: Layout, stackup: Stackup) -> Layout:
     """The artwork with its mask where it was printed, and with scratches and residue near its pads."""
     defects = board.defects
+    if (
+        not defects.scratch.probability
+        + defects.residue.probability
+        + np.any(stackup.mask_shift_mm)
+    ):
+        return layout
     openings, covered = _shifted(layout, stackup.mask_shift_mm)
     drilled = shapely.union_all([hole.outline for hole in layout.holes if not hole.tented])
     masked = layout.board.difference(openings.union(drilled))
@@ -46,7 +52,7 @@ def damaged(board: BoardBase, layout: Layout, stackup: Stackup) -> Layout:
 
 def _shifted(layout: Layout, by_mm: tuple[float, float]) -> tuple[Area, list[Damage]]:
     """The mask's openings where they are, and the copper that they should have left bare and do not."""
-    if by_mm == (0.0, 0.0):
+    if not np.any(by_mm):
         return layout.openings, []
     moved = shapely.transform(layout.openings, lambda xy: xy + np.asarray(by_mm))
     openings = moved.intersection(layout.board)

@@ -13,7 +13,7 @@ from scenes.board import gerber
 from scenes.board.board_settings import BoardBase
 from scenes.board.extras.fiducials import Fiducials, at_positions, with_found
 from scenes.board.extras.holes import with_holes
-from scenes.board.pad_layout import Area, Bounds, Layout, Pad, cut_pads, within_box
+from scenes.board.pad_layout import Area, Bounds, Layout, Pad, cut_layout
 from scenes.support.errors import FileError, FringebenchWarning, SceneError
 from scenes.support.frozen import Frozen
 
@@ -82,15 +82,7 @@ class GerberBoard(BoardBase):
             else near.buffer(self.mask_clearance_mm, join_style="mitre")
         )
         copper = gerber.read_area(paths["copper"], box, mirrored) if "copper" in paths else near
-        layout = Layout(
-            tuple(pad for pad in pads if within_box(pad.outline, box)),
-            copper.intersection(board),
-            openings.intersection(board),
-            board,
-            box,
-            cut_pads(pads, box),
-            self._legend(paths, box).intersection(board),
-        )
+        layout = cut_layout(pads, copper, openings, board, self._legend(paths, box), box)
         if self.fiducials is not None:
             layout = with_found(layout, self._fiducials(layout, paths, self.fiducials))
         if self.holes is None:
