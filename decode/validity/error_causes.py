@@ -28,7 +28,7 @@ Mask = NDArray[np.bool_]
 # sigma); and one that the median of 5 x 5 pixels never exceeds: there it is 2.3, give or take 0.13.
 NOISE, USUAL_NOISE = 4.75, 3.1
 # Sigma per mm of deviation: of the pixel's own, and of the region's median; and sigma per rad of the blur's formula, whose
-# variance contains the projector's blur, too. The best logarithmic score on the scenes for tuning (docs/decoding.md).
+# variance contains the projector's blur, too. Near the best logarithmic score on the scenes for tuning (docs/decoding.md).
 OWN, REGION, BLUR = 0.4, 0.7, 0.5
 # A pixel next to an unlit one has the height of its lit part. Its sigma is this part of the fringe's change over one pixel.
 PARTLY_LIT = 0.2
