@@ -84,11 +84,15 @@ class DrillProgram:
 
     def obey(self, line: str) -> None:
         """Apply one line."""
-        if not line or self.ended:
+        if not line:
             return
         if line[0] in ";(":
             self._comment(line)
             return
+        if self.ended and line[0] not in "M%":
+            raise Malformed(
+                f"'{line[:40]}' comes after the end (M30, M00): give each program a file"
+            )
         line = re.sub(r"^N\d+", "", line)
         if line in ("M48", "M95", "%"):
             self.header = line == "M48"
@@ -166,12 +170,14 @@ class DrillProgram:
             for _ in range(repeats):
                 self.point = (self.point[0] + step[0], self.point[1] + step[1])
                 self._drill([Segment(self.point, self.point)])
-        elif place.keys() & {"X", "Y"}:
+        elif place:
             self._go(place, start)
 
     def _go(self, place: dict[str, str], slot_from: Point | None) -> None:
         start, end = self.point, self._point(place)
         self.point = end
+        if place.keys() - {"X", "Y"} and not (self.routing and self.interpolation > 1):
+            raise Malformed("a radius or centre (A, I, J) outside an arc")
         if slot_from is not None:
             self._drill([Segment(slot_from, end)])
         elif not self.routing:

@@ -119,6 +119,13 @@ def test_routed_arcs_go_round_their_centre(tmp_path: Path, turn: str, sign: floa
         assert not hole.outline.contains(shapely.Point(2.0, -2.0 * sign))
 
 
+def test_a_whole_circle_is_routed_by_its_centre_alone(tmp_path: Path) -> None:
+    (ring,) = read_drills(write(tmp_path, METRIC + "G00X0.0Y0.0\nM15\nG03I2.0J0.0\nM16\nM30\n"))
+    assert ring.outline.area == pytest.approx(2 * np.pi * 2.0 * 0.8, rel=ROUND)
+    # Corners of an arc are within 2 um of it.
+    assert ring.outline.centroid.coords[0] == pytest.approx((2.0, 0.0), abs=2e-3)
+
+
 @pytest.mark.parametrize(
     ("text", "plated"),
     [
@@ -157,6 +164,8 @@ def test_plating_stated_before_a_tools_holes_is_that_tools(tmp_path: Path) -> No
         ("M48\nT1C0.8\n%\nT1\nX1.0Y1.0\nM30\n", "does not say its unit; set board.holes"),
         (METRIC + "X15Y1\nM30\n", "which zeros 'X?15' lacks of 3.3 digits"),
         ("M48\nMETRIC\nT1C0800\n%\nT1\nX1.0Y1.0\nM30\n", "without a decimal point"),
+        (METRIC + "X1.0Y1.0\nM00\nT1\nX2.0Y2.0\nM30\n", "'T1' comes after the end"),
+        (METRIC + "X1.0Y1.0A2.0\nM30\n", "outside an arc"),
         (METRIC + "G00X1.0Y1.0\nG01X2.0\nM30\n", "with the tool up"),
         (METRIC + "G00X1.0Y1.0\nM15\nG01X2.0\nM30\n", "does not end with M30"),
         (METRIC + "G00X1.0Y1.0\nM15\nG02X3.0A0.5\nM16\nM30\n", "an arc of radius 0.5 mm between"),
