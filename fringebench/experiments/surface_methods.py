@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import decode
 import render
@@ -173,17 +174,29 @@ def _measured(scene: scenes.Scene, method: str, surface: str, seed: int) -> Cell
     light = render.trace(scene, seed=seed, surfaces=surfaces)
     truth = render.truth(scene, light, surfaces)
     region = truth.region("object")
-    pixels = int(region.sum())
     try:
         rec = decode.reconstruct(render.expose(light, seed=seed))
     except DecodeError as error:
         # It names the reasons and their shares.
         shares = {name: float(s) for name, s in re.findall(r"([a-z-]+) ([\d.]+)%", str(error))}
         why = max(shares, key=shares.__getitem__) if shares else "nothing decoded"
-        return Cell(method, surface, pixels, 0.0, 0.0, None, None, why, 1.0)
-    error_mm = np.abs(rec.height_mm - truth.height_mm)[region & rec.valid].astype(np.float64)
+        return Cell(method, surface, int(region.sum()), 0.0, 0.0, None, None, why, 1.0)
     low, high = scene.height_range_mm
-    wrong = float((error_mm > WRONG * (high - low)).sum() / pixels)
+    return judged(method, surface, rec, truth.height_mm, region, WRONG * (high - low))
+
+
+def judged(
+    method: str,
+    surface: str,
+    rec: decode.Reconstruction,
+    true_mm: NDArray[np.floating],
+    region: NDArray[np.bool_],
+    limit_mm: float,
+) -> Cell:
+    """How heights compare with the true ones in a region (row, col); wrong is what is off by more than the limit."""
+    pixels = int(region.sum())
+    error_mm = np.abs(rec.height_mm - true_mm)[region & rec.valid].astype(np.float64)
+    wrong = float((error_mm > limit_mm).sum() / pixels)
     causes = {"wrong": wrong} | {
         reason.label: float((rec.reason[region] == reason).mean())
         for reason in decode.Reason

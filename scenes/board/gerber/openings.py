@@ -160,7 +160,7 @@ def _openings(
             place = (part.centroid.x, part.centroid.y)
             for i in flashes:
                 flashed = objects[i].place
-                if flashed is not None and (len(members) == 1 or part.intersects(shapes[i])):
+                if flashed is not None and part.intersects(shapes[i]):
                     place = flashed
                     break
             if mirrored:

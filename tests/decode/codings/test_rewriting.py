@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 import decode
+from decode.codings.rewriting import _parity
 from scenes.acquisition.patterns import GrayBits, ModulatedPhaseShift, PhaseShift, UnevenSteps
 from scenes.acquisition.sensor import Emva, Sensor, SimpleSensor
 from scenes.files.stack import Stack
@@ -123,6 +124,23 @@ def test_xor_code_without_its_last_bit_is_refused() -> None:
     )
     with pytest.raises(DecodeError, match="last bit"):
         decode.reconstruct(short, height="phase")
+
+
+def test_parity_of_a_code_has_its_brightness_and_follows_from_its_cells() -> None:
+    """Two such frames make a second code the last bit of the first; Gray codes of neighbours differ in one bit."""
+    u, cell_px = columns(), 32.0
+    gray = PhaseShift(periods_px=(64.0,), gray=GrayBits(bits=5, cell_px=cell_px))
+    stack = taken(gray, u, SENSORS["constant"], None)
+    code = [i for i, f in enumerate(stack.patterns) if f.kind == "gray"]
+    odd, even = (frame.astype(np.float64) for frame in _parity(stack, code))
+    samples = stack.frames[:, code].astype(np.float64)
+    low, high = samples.min(axis=1), samples.max(axis=1)
+    # Rounded to whole digital numbers.
+    np.testing.assert_allclose(odd + even, low + high, atol=1.0)
+    assert (np.minimum(odd, even) >= low - 0.5).all() and (
+        np.maximum(odd, even) <= high + 0.5
+    ).all()
+    np.testing.assert_array_equal(odd > even, [np.floor(u / cell_px) % 2 == 1])
 
 
 def test_search_needs_the_projectors_size() -> None:

@@ -2,14 +2,23 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import decode
 import fringebench as fb
 import scenes
-from fringebench.experiments.surface_methods import METHODS, SURFACES, Cell, MethodMap, map_scene
+from fringebench.experiments.surface_methods import (
+    METHODS,
+    SURFACES,
+    Cell,
+    MethodMap,
+    judged,
+    map_scene,
+)
 from fringebench.pages.method_map_page import map_rows
 from scenes.support.errors import ScoreError
 from tests.conftest import Call
@@ -45,6 +54,9 @@ def test_all_devices_look_at_the_middle_of_the_object_and_see_it_whole(
     scene = map_scene(method, surface, (64, 48), 4)
     rig = scene.calibration()
     (thing,) = (part.mesh for part in scenes.parts(scene) if part.label == "object")
+    below = [part.mesh.bounds for part in scenes.parts(scene) if part.label != "object"]
+    # It rests on the smallest of what is below it, beyond which a grain of powder 3 reaches 0.0225 mm at most.
+    assert (np.abs(thing.bounds[:, :2]) <= min(b[1, :2].min() for b in below) + 0.0226).all()
     devices = [rig.camera, *rig.projectors, *([rig.second_camera] if rig.second_camera else [])]
     for device in (one.projection() for one in devices):
         middle = device.project(np.zeros((1, 3)))[0][0]
@@ -64,6 +76,32 @@ def test_random_dots_are_two_and_a_half_camera_pixels_wide() -> None:
     # Both stand 300 mm away, within some per mille.
     dot_mm = scene.patterns.dot_px / light.fx * np.linalg.norm(light.origin_mm)
     assert dot_mm * camera.fx / np.linalg.norm(camera.origin_mm) == pytest.approx(2.5, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "shadowed", "why"), [(10, 12, "shadow"), (14, 12, "wrong"), (2, 1, "")]
+)
+def test_cell_counts_the_objects_pixels_and_names_what_most_of_them_fail_by(
+    wrong: int, shadowed: int, why: str
+) -> None:
+    region = np.zeros((10, 10), np.bool_)
+    region[:5] = True
+    off = np.full(100, 0.1)
+    off[:wrong], off[50:] = -0.4, 9.0
+    reason = np.zeros(100, np.uint8)
+    reason[50 - shadowed :] = decode.Reason.SHADOW
+    rec = decode.Reconstruction.of_heights(2.0 + off.reshape(10, 10))
+    rec = replace(rec, reason=reason.reshape(10, 10))
+    cell = judged("a", "b", rec, np.full((10, 10), 2.0), region, 0.3)
+    good = 50 - wrong - shadowed
+    assert (cell.pixels, cell.coverage, cell.wrong) == pytest.approx(
+        (50, 1.0 - shadowed / 50, wrong / 50)
+    )
+    squares = (0.4**2 * wrong + 0.1**2 * good) / (wrong + good)
+    assert (cell.rms_mm, cell.median_abs_mm) == pytest.approx((np.sqrt(squares), 0.1), rel=1e-5)
+    share = {"shadow": shadowed / 50, "wrong": wrong / 50, "": 0.0}[why]
+    assert cell.why == why
+    assert cell.why_share == pytest.approx(share)
 
 
 def test_unknown_names_are_refused_with_the_nearest() -> None:

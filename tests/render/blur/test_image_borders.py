@@ -13,7 +13,7 @@ from render.blur.image_borders import fringe_terms
 from render.blur.point_spread import REACH, blurred, spread_kernel
 from render.chip_image import Image
 from render.fringe_phasor import finest_fringes
-from render.light_noise import sensor_noise
+from render.light_noise import on_chip, sensor_noise
 from tests.render.blur.test_point_spread import sensor, whole
 
 Floats = NDArray[np.float64]
@@ -89,6 +89,22 @@ def test_even_fringes_keep_phase_and_contrast_up_to_the_border() -> None:
     contrast = np.cos(down * offset) @ whole(k) @ np.cos(across * offset)
     np.testing.assert_allclose((real + 1j * imaginary) / z, contrast, atol=0.01)
     np.testing.assert_allclose(even, 1.0, rtol=1e-6)
+
+
+def test_noise_behind_a_lens_adds_up_in_squares() -> None:
+    """Along a phasor's neighbours, whose phases differ, it turns the phasor; with the noise across them it adds up as variances do."""
+    light = render.trace(scenes.load("step", {"camera.resolution": [24, 18]}), samples=4)
+    across = np.full((1, 1, 18, 24), 1e-3, np.float32)
+    total = [
+        on_chip(replace(light, noise_rad=across, amplitude_noise=np.full_like(across, along)))
+        for along in (0.0, 0.1, 0.2)
+    ]
+    zero, one, two = (found.astype(np.float64)[0, 0] ** 2 for found in total)
+    grown = one - zero
+    seen = grown > 1e-3 * one
+    assert seen.mean() > 0.5
+    # Float32 of the sum.
+    np.testing.assert_allclose((two - zero)[seen] / grown[seen], 4.0, rtol=1e-3)
 
 
 def test_photons_within_the_kernels_reach_of_no_border_are_conserved() -> None:

@@ -254,7 +254,9 @@ def test_paths_meet_the_target_with_minimum_work_when_variances_are_known() -> N
 
 def test_file_keeps_noise_and_what_was_reached(tmp_path: Path) -> None:
     scene = scenes.load("step", {**SMALL, "patterns.axes": ["column", "row"]})
-    light = render.trace(scene, render_noise=2.0)
+    shares: list[float] = []
+    light = render.trace(scene, render_noise=2.0, progress=shares.append)
+    assert shares == sorted(shares) and shares[0] > 0.0 and shares[-1] <= 1.0
     light.write(tmp_path / "transport.exr")
     again = render.Transport.read(tmp_path / "transport.exr")
     assert again.render_noise == light.render_noise

@@ -98,6 +98,17 @@ def test_screen_in_the_cameras_view_is_refused(height_mm: float, share: float) -
             rigs.scene(camera, narrow, objects=rigs.plane("mirror"), patterns=BOTH)
 
 
+@pytest.mark.parametrize(
+    ("height_mm", "target_mm"), [(-100.0, 0.0), (200.0, 400.0), (-100.0, -400.0)]
+)
+def test_no_mirror_shows_a_screen_behind_it_or_from_the_back(
+    height_mm: float, target_mm: float
+) -> None:
+    pose = {"origin_mm": (-60.0, 0.0, height_mm), "target_mm": (-60.0, 0.0, target_mm)}
+    light = render.trace(scene(screen(pose=pose), rigs.plane("mirror"), depth=1), samples=4)
+    assert light.total.max() == 0.0
+
+
 def test_mixed_rigs_and_impossible_screens_are_refused() -> None:
     one, projector = screen(), rigs.pinhole_projector()
     camera, mirror = rigs.pinhole(x_mm=80.0), rigs.plane("mirror")

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -20,6 +20,7 @@ from scenes.acquisition.patterns import (
     PhaseShift,
     UnevenSteps,
 )
+from scenes.files.capture_frames import LineShift
 from scenes.support.errors import SceneError
 from tests.scenes.acquisition import emitted
 
@@ -121,6 +122,17 @@ def test_contrast_is_michelson_contrast_of_full_amplitude_fringes(contrast: floa
     light = projector(contrast=contrast)
     white, black = light.emit(np.array(1.0)), light.emit(np.array(0.0))
     assert (white - black) / (white + black) == pytest.approx(contrast)
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_shifted_lines_light_every_place_once(direction: Literal[1, -1]) -> None:
+    shift = LineShift(axis="row", period_px=20.0, steps=8, direction=direction, origin_px=3.0)
+    at_px = np.random.default_rng(0).uniform(0.0, 500.0, 2000)
+    lit = np.array([frame.commanded(at_px) for frame in shift.frames()])
+    np.testing.assert_array_equal(lit.sum(axis=0), 1.0)
+    # The line of the first frame begins at the origin and is an eighth of 20 px wide; the next is beside it.
+    np.testing.assert_array_equal(lit[0] == 1.0, (at_px - 3.0) % 20.0 < 2.5)
+    np.testing.assert_array_equal(lit[1] == 1.0, (at_px - 3.0 - 2.5 * direction) % 20.0 < 2.5)
 
 
 def test_four_steps_give_the_chapters_arctangent() -> None:

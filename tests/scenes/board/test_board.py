@@ -209,8 +209,10 @@ def test_contamination_is_on_top_of_paste() -> None:
     assert all("contamination" in pad.defects for pad in truth.pads)
 
 
-def test_bridge_joins_neighbours() -> None:
-    chips = [{"package": "chip", "size": "0201", "position_mm": [0.0, 0.0]}]
+@pytest.mark.parametrize("turn_deg", [0.0, 30.0])
+def test_bridge_joins_neighbours(turn_deg: float) -> None:
+    chip: dict[str, Any] = {"package": "chip", "size": "0201", "position_mm": [0.0, 0.0]}
+    chips = [chip | {"rotation_deg": turn_deg}]
     paste = QUIET
     defects = {"bridge": {"probability": 1.0, "width_mm": 0.1, "height_mm": 0.06}}
     print_ = printed(board(chips, paste=paste, defects=defects))
@@ -220,12 +222,33 @@ def test_bridge_joins_neighbours() -> None:
     a, b = (d.footprint for d in print_.deposits)
     strip = shapely.Polygon(bridge.field.xy_mm[bridge.field.rims[0]])
     gap = 0.64 - 0.46
+    # Across the gap it reaches a little into both deposits.
+    cosine, sine = np.cos(np.deg2rad(turn_deg)), np.sin(np.deg2rad(turn_deg))
+    upright = bridge.field.xy_mm @ np.array([[cosine, -sine], [sine, cosine]])
+    sides = np.sort(np.ptp(upright, axis=0))
+    assert sides == pytest.approx([0.1, strip.area / 0.1], rel=1e-5)
     assert strip.intersection(a).area > 0 and strip.intersection(b).area > 0
     # Full height over its width but for two flanks of 0.03 mm, which hold between wall (0.3) and full height.
     full, thinnest = gap * 0.1 * 0.06, gap * (0.04 + 0.06 * 0.3) * 0.06
     assert thinnest < truth.bridges[0].volume_mm3 < full
     assert [p.bridged_to for p in truth.pads] == [(2,), (1,)]
     assert all(p.defects == ("bridge",) for p in truth.pads)
+
+
+def test_every_use_of_random_numbers_has_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two uses of one stream would go together: all missing deposits would be narrow ones, say."""
+    used: list[tuple[int, ...]] = []
+
+    def generator(self: Board, *key: int) -> np.random.Generator:
+        used.append(key)
+        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
+
+    monkeypatch.setattr(ParametricBoard, "generator", generator)
+    defects = {"bridge": {"probability": 0.5}, "missing": {"probability": 0.2}}
+    printed(board(FEW, defects=defects, seed=123))
+    of_pads = [key for key in used if len(key) > 1]
+    assert len(of_pads) > 100
+    assert len(set(of_pads)) == len(of_pads)
 
 
 def test_touching_deposits_are_a_bridge() -> None:
@@ -327,8 +350,10 @@ def test_volumes_of_neighbours_are_alike_where_they_share_all_their_variance() -
     assert np.corrcoef(grid[1:].ravel(), grid[:-1].ravel())[0, 1] > 0.9
 
 
-def test_long_openings_across_the_stroke_and_clogged_ones_transfer_less() -> None:
+@pytest.mark.parametrize("turn_deg", [0.0, 30.0, -30.0])
+def test_long_openings_across_the_stroke_and_clogged_ones_transfer_less(turn_deg: float) -> None:
     part = {"package": "qfp", "position_mm": [0, 0], "pins": 4, "row_mm": 4.0}
+    part |= {"rotation_deg": turn_deg}
     part |= {"pad_mm": [1.2, 0.3], "pitch_mm": 1.0}
 
     def share(**transfer: Any) -> Any:
@@ -337,8 +362,11 @@ def test_long_openings_across_the_stroke_and_clogged_ones_transfer_less() -> Non
 
     plain = share()
     across = share(across=0.9) / plain
-    # The stroke is along y: pads of the left and right side are across it. (1.2 - 0.3) / (1.2 + 0.3) of the effect.
-    assert across == pytest.approx([0.9**0.6, 1.0] * 2, rel=1e-6)
+    # The stroke is along y: pads of the left and right side are across it. (1.2 - 0.3) / (1.2 + 0.3) of the effect; of slanted
+    # ones, by what they measure across and along it.
+    cosine, sine = np.cos(np.deg2rad(turn_deg)), abs(np.sin(np.deg2rad(turn_deg)))
+    slant = 0.6 * (cosine - sine) / (cosine + sine)
+    assert across == pytest.approx([0.9**slant, 1.0] * 2, rel=1e-6)
     assert share(clogging=0.1, prints_since_wipe=5) == pytest.approx(plain**1.5, rel=1e-6)
     assert share(clogging=0.1) == pytest.approx(plain)
 

@@ -69,6 +69,18 @@ def test_points_behind_a_pinhole_or_beyond_its_lens_are_not_imaged() -> None:
     assert np.isnan(geometry.project([behind, outside])[0]).all()
 
 
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_pose_farther_than_float32_resolves_is_refused(axis: int) -> None:
+    far = [0.0, 1.0, 2.0]
+    far[axis] = -1e7
+    x, y, z = far
+    LookAt(origin_mm=(x, y, z))
+    far[axis] = -1.01e7
+    x, y, z = far
+    with pytest.raises(SceneError, match="keep them within"):
+        LookAt(origin_mm=(x, y, z))
+
+
 def test_matrix_pose_equals_the_look_at_pose_it_was_taken_from() -> None:
     look = LookAt(origin_mm=(10.0, 20.0, 300.0), target_mm=(0.0, 5.0, 0.0))
     R, t = look.matrix()

@@ -12,6 +12,7 @@ import scenes
 from fringebench.experiments.rigs.chart import Chart, fitting, poses
 from fringebench.experiments.rigs.data_sheet import rig_of_sheets
 from fringebench.experiments.rigs.rig_twin import twin
+from fringebench.experiments.rigs.shared_field import common_field
 from fringebench.experiments.rigs.virtual_calibration import calibrate
 from scenes import Calibration
 from scenes.rig import opencv_calibration
@@ -173,6 +174,18 @@ def test_poses_are_fully_visible_to_both_devices_and_differ() -> None:
     reach = 0.35 * chart.size_mm[0]
     heights = np.array([pose.position_mm[2] for pose in found])
     assert np.abs(heights).max() <= reach < np.ptp(heights)
+
+
+@pytest.mark.parametrize("kind", ["checkerboard", "charuco"])
+@pytest.mark.parametrize("resolution", [[800, 600], [800, 300], [300, 600]])
+def test_chart_fits_into_the_common_field(kind: str, resolution: list[int]) -> None:
+    middle = {"camera.cx_px": resolution[0] / 2, "camera.cy_px": resolution[1] / 2}
+    size = {"camera.resolution": resolution, "camera.calibrated_at": resolution}
+    scene = scenes.load("step", WIDE | size | middle)
+    field = np.array(common_field(scene.calibration()).size_mm)
+    share = np.array(fitting(scene, kind).size_mm) / field  # type: ignore[arg-type]
+    # 0.7 of it leaves room for tilts.
+    assert share.max() == pytest.approx(0.7)
 
 
 @pytest.mark.parametrize("turned", [False, True])
