@@ -218,7 +218,12 @@ def _reconstruction(rec: decode.Reconstruction, truth: scenes.Truth | None) -> F
     height = np.where(rec.valid, rec.height_mm, np.nan)
     note = rec.order_note and f" {rec.order_note}"
     caption = f"Measured height; gray pixels were rejected.{note}"
-    panels = [Panel("Height", height, "mm", caption=caption)]
+    # Pixels of which nothing but the order is unknown have a shape.
+    known = rec.valid | (rec.reason == decode.Reason.ORDER_UNKNOWN)
+    relative = bool(note) and not rec.valid.any()
+    shape = np.where(known, rec.height_mm, np.nan) if relative else height
+    title = "Height up to whole fringes" if relative else "Height"
+    panels = [Panel(title, shape, "mm", caption=caption)]
     if truth is not None:
         error = height_error_mm(rec, truth) * UM_PER_MM
         title = "Height error (measured − true)"
@@ -229,7 +234,7 @@ def _reconstruction(rec: decode.Reconstruction, truth: scenes.Truth | None) -> F
             Panel("Wrapped phase", rec.wrapped_rad, "rad", "twilight", (-np.pi, np.pi)),
             Panel(
                 "Phase up to whole turns" if note else "Absolute phase",
-                np.where(rec.valid, rec.phase_rad, np.nan),
+                np.where(known if note else rec.valid, rec.phase_rad, np.nan),
                 "rad",
             ),
         ]

@@ -12,6 +12,7 @@ from PIL import Image
 
 import decode
 import scenes
+from decode.reconstruction import AxisPhase
 from evaluation.output.cloud import triangles
 from fringebench.exchange.conversion import convert
 from fringebench.exchange.viewer import read_view, write_view
@@ -194,3 +195,27 @@ def test_view_and_convert_answer_in_json(folder: Path, tmp_path: Path, call: Cal
         assert status == 0
         assert json.loads(said)["file"] == str(out)
         assert out.stat().st_size > 1000
+
+
+def test_heights_of_unknown_order_are_shown_as_such(tmp_path: Path) -> None:
+    shape = (12, 16)
+    phase = np.zeros(shape, np.float32)
+    rec = decode.Reconstruction(
+        height_mm=np.ones(shape, np.float32),
+        sigma_mm=np.full(shape, 1e-3, np.float32),
+        modulation_dn=np.full(shape, 50.0, np.float32),
+        offset_dn=np.full(shape, 90.0, np.float32),
+        reason=np.full(shape, decode.Reason.ORDER_UNKNOWN, np.uint8),
+        exposure=np.zeros(shape, np.uint8),
+        phases={"column": AxisPhase(20.0, phase, np.ones(shape, np.int32))},
+        settings={"resolved": {"order": "known only up to whole turns"}},
+    )
+    rec.write(tmp_path / "rec.exr")
+    view = read_view(tmp_path / "rec.exr")
+    assert ["caution", rec.order_note] in view.facts
+    shown = {panel.title: panel for panel in view.panels}
+    assert "Height" not in shown and "Absolute phase" not in shown
+    # Its shape is known, and drawn; that it may be off is in the caption.
+    for title in ("Height up to whole fringes", "Phase up to whole turns"):
+        assert np.isfinite(shown[title].values).all()
+    assert "whole fringes" in shown["Height up to whole fringes"].caption
