@@ -1,12 +1,15 @@
 """Parametric boards in scenes: place and amount of paste, and what defects do to it."""
 
 import time
+import tomllib
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import shapely
 import trimesh
+from pydantic import TypeAdapter
 
 import scenes
 from scenes.board.board import Board, ParametricBoard
@@ -527,3 +530,10 @@ def test_turned_rectangle_stays_about_its_centre() -> None:
     corner = shapely.Point(3.0 + cos * 1.0 - sin * 0.5, -4.0 + sin * 1.0 + cos * 0.5)
     assert turned.exterior.distance(corner) < 1e-12
     assert min(corner.distance(shapely.Point(p)) for p in turned.exterior.coords) < 1e-12
+
+
+def test_the_board_of_the_page_is_valid() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "boards.md").read_text("utf-8")
+    tree = tomllib.loads(page.partition("```toml\n")[2].partition("```")[0])
+    found: Board = TypeAdapter(Board).validate_python(tree["board"])
+    assert {"hole", "fiducial", "scratch", "residue", "legend"} <= set(found.labels)
