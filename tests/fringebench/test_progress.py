@@ -18,8 +18,7 @@ import render
 import scenes
 from fringebench import progress
 from fringebench.progress import Mode, Steps
-
-COMMAND = [sys.executable, "-m", "fringebench"]
+from tests.commands import finish, start
 
 
 @pytest.fixture(autouse=True)
@@ -148,7 +147,7 @@ def test_exposing_reports_each_frame() -> None:
 
 def _interrupted(words: list[str], when: str, cwd: Path) -> tuple[int, str]:
     """Exit status and stderr of a command that gets a SIGINT once it has printed `when`."""
-    running = subprocess.Popen([*COMMAND, *words], stderr=subprocess.PIPE, text=True, cwd=cwd)
+    running = start(*words, folder=cwd)
     assert running.stderr is not None
     heard = ""
     for line in running.stderr:
@@ -156,13 +155,9 @@ def _interrupted(words: list[str], when: str, cwd: Path) -> tuple[int, str]:
         if when in line:
             running.send_signal(signal.SIGINT)
             break
-    # Closes the pipe, and does not wait for ever for a process that ignores the signal.
-    try:
-        rest = running.communicate(timeout=300)[1]
-    except subprocess.TimeoutExpired:
-        running.kill()
-        raise
-    return running.returncode, heard + rest
+    # Closes the pipes, and does not wait for ever for a process that ignores the signal.
+    status, _, rest = finish(running, timeout_s=300)
+    return status, heard + rest
 
 
 def test_ctrl_c_names_the_complete_files(tmp_path: Path) -> None:
@@ -202,7 +197,7 @@ def test_ctrl_c_gives_the_terminal_its_cursor_back(tmp_path: Path) -> None:
     controller, terminal = pty.openpty()
     words = ["render", "step", "--set", "sampling.samples=20000"]
     running = subprocess.Popen(
-        [*COMMAND, *words],
+        [sys.executable, "-m", "fringebench", *words],
         stderr=terminal,
         cwd=tmp_path,
         env={key: value for key, value in os.environ.items() if key != "NO_COLOR"}

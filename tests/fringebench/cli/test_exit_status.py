@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -11,7 +12,10 @@ import scenes
 from fringebench.cli.app import BROKEN_PIPE, INTERNAL_ERROR
 from tests.conftest import Call
 
-COMMAND = [sys.executable, "-m", "fringebench"]
+
+def ran(*words: str, **how: Any) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "fringebench", *words]
+    return subprocess.run(command, stderr=subprocess.PIPE, text=True, check=False, **how)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
@@ -26,14 +30,7 @@ COMMAND = [sys.executable, "-m", "fringebench"]
 )
 def test_output_lost_on_a_full_disk_ends_with_status_2(words: list[str], tmp_path: Path) -> None:
     with Path("/dev/full").open("w") as full:
-        done = subprocess.run(
-            [*COMMAND, *words],
-            stdout=full,
-            stderr=subprocess.PIPE,
-            text=True,
-            check=False,
-            cwd=tmp_path,
-        )
+        done = ran(*words, stdout=full, cwd=tmp_path)
     assert done.returncode == 2
     assert done.stderr.splitlines() == [
         "fringebench: standard output cannot be written: No space left on device"
@@ -44,9 +41,7 @@ def test_output_lost_on_a_full_disk_ends_with_status_2(words: list[str], tmp_pat
 def test_closed_pipe_ends_the_command_silently(words: list[str]) -> None:
     reader, writer = os.pipe()
     os.close(reader)
-    done = subprocess.run(
-        [*COMMAND, *words], stdout=writer, stderr=subprocess.PIPE, text=True, check=False
-    )
+    done = ran(*words, stdout=writer)
     os.close(writer)
     assert (done.returncode, done.stderr) == (BROKEN_PIPE, "")
 
