@@ -120,12 +120,12 @@ def test_a_pixel_next_to_shadow_may_have_the_height_of_its_lit_part() -> None:
     assert (mixed[:, 46:] > 0).mean() < 0.02
 
 
-def of_heights(height_mm: Map) -> decode.Reconstruction:
-    """What the heights alone show, where noise is 1 um and 1 rad of phase is 1 mm."""
+def of_heights(height_mm: Map, mm_per_rad: float = 1.0) -> decode.Reconstruction:
+    """What the heights alone show, where noise is 1 um."""
     rec = decode.Reconstruction.of_heights(height_mm)
     one = np.ones(height_mm.shape, np.float32)
     rec = replace(rec, sigma_mm=1e-3 * one)
-    return error_causes.by_cause(rec, error_causes.Signs((), (), 1e-3 * one, one))[0]
+    return error_causes.by_cause(rec, error_causes.Signs((), (), 1e-3 * one, mm_per_rad * one))[0]
 
 
 def test_a_pixel_that_stands_out_widens_its_neighbours() -> None:
@@ -148,6 +148,17 @@ def test_a_pixel_is_mixed_that_deviates_by_much_more_than_its_region_does(
     rec = of_heights(rough)
     assert (rec.reason[10, 10] == decode.Reason.MIXED) == rejected
     assert rec.valid[:8].all() and rec.valid[13:].all()
+
+
+@pytest.mark.parametrize(("rad", "rejected"), [(0.15, False), (0.25, True)])
+def test_a_lone_pixel_is_mixed_that_deviates_by_a_fifth_of_a_radian(
+    rad: float, rejected: bool
+) -> None:
+    height = np.zeros((15, 15))
+    height[7, 6] = 0.5 * rad
+    rec = of_heights(height, mm_per_rad=0.5)
+    assert (rec.reason[7, 6] == decode.Reason.MIXED) == rejected
+    assert rec.valid.sum() == height.size - rejected
 
 
 @pytest.mark.parametrize("size", [(9, 1), (1, 9), (2, 2)])
