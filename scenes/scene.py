@@ -270,6 +270,17 @@ class Scene(Frozen):
             )
 
     @property
+    def seen_board(self) -> Board | None:
+        """The board, its paste as granular as the camera's pixels resolve."""
+        if self.board is None:
+            return None
+        camera = self.camera.projection()
+        places = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]])
+        pixels, _ = camera.project(places)
+        paste = self.board.paste.seen_by(0.1 / float(np.linalg.norm(pixels[1] - pixels[0])))
+        return self.board.model_copy(update={"paste": paste})
+
+    @property
     def screens(self) -> tuple[Screen, ...]:
         """The screen's positions; empty for projectors."""
         return self.calibration().screens

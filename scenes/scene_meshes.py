@@ -62,7 +62,7 @@ def parts(scene: Scene) -> tuple[Part, ...]:
     for item, part in zip(scene.objects, own, strict=True):
         if isinstance(item.shape, MeshFile):
             _check_unit(part, item.shape.scale, scene)
-    printed = bodies(scene.board) if scene.board else ()
+    printed = bodies(scene.seen_board) if scene.seen_board else ()
     return (*own, *(_part(body, scene) for body in printed))
 
 

@@ -237,19 +237,13 @@ def _variant(scene: scenes.Scene, on: frozenset[str], depth: int) -> scenes.Scen
     board = scene.board
     assert board is not None
     texture = "granular" if "grains" in on else "smooth"
-    paste = board.paste.model_copy(update={"texture": texture})
+    board = board.model_copy(update={"paste": board.paste.model_copy(update={"texture": texture})})
     materials = scene.materials
     if "metal" not in on:
         # The same names, so that every surface keeps its label.
         materials = materials | dict.fromkeys(board.materials, PAINT)
     light = scene.sampling.model_copy(update={"depth": depth if "interreflection" in on else 1})
-    return scene.model_copy(
-        update={
-            "board": board.model_copy(update={"paste": paste}),
-            "materials": materials,
-            "sampling": light,
-        }
-    )
+    return scene.model_copy(update={"board": board, "materials": materials, "sampling": light})
 
 
 def _moved(scene: scenes.Scene, by_mm: float) -> scenes.Scene:

@@ -112,7 +112,7 @@ class BoardBase(Frozen):
             layers.laminate_material,
             layers.mask_material,
             layers.pad_material,
-            self.paste.material,
+            *self.paste.materials,
             self.defects.contamination.material,
             self.defects.residue.material,
             *(part.material for part in (self.legend, self.holes) if part),

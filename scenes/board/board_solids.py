@@ -74,9 +74,14 @@ def _bodies(board: Board, print_: Print) -> Iterable[Body]:
     fields = [(d.field, _same(d.pad.id, d.field)) for d in print_.deposits if d.field]
     fields += [(d.tail, _same(d.pad.id, d.tail)) for d in print_.deposits if d.tail]
     fields += [(b.field, _halves(b, b.field)) for b in print_.bridges if b.field]
-    smooth = paste.texture == "smooth"
     if fields:
-        yield _shells("paste", paste.material, fields, base, smooth)
+        shells = _shells("paste", paste.material, fields, base, paste.texture != "granular")
+        # Grains, the flux between them, and paste without either, such as smears.
+        kinds = np.concatenate([_kinds(field) for field, _ in fields])
+        named = (paste.grain_material, paste.flux_material, paste.material)
+        for number, name in enumerate(named):
+            if (own := kinds == number).any():
+                yield replace(shells, material=name, faces=shells.faces[own], pad=shells.pad[own])
     specks = [(d.speck, _same(d.pad.id, d.speck)) for d in print_.deposits if d.speck]
     if specks:
         yield _shells(CONTAMINATION, board.defects.contamination.material, specks, base, False)
@@ -99,6 +104,16 @@ def _shells(
         np.concatenate(faces),
         np.concatenate(pads).astype(np.int32),
         smooth,
+    )
+
+
+def _kinds(field: Heightfield) -> Ints:
+    """(face,) of a field's shell: 0 grains, 1 flux, 2 neither."""
+    walls = 2 * sum(len(rim) for rim in field.rims)
+    if field.bed is None:
+        return np.full(len(field.faces) + walls, 2)
+    return np.concatenate([field.bed[field.faces].sum(axis=1) > 1, np.zeros(walls)]).astype(
+        np.int64
     )
 
 

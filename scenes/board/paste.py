@@ -23,16 +23,26 @@ from scenes.support.frozen import Frozen
 
 Floats = NDArray[np.float64]
 
+# Material of paste whose grains are not resolved.
+UNRESOLVED = "solder-paste"
 # Plane waves that texture a smooth deposit; more make no visible difference.
 WAVES = 12
 # A peak takes its paste from the deposit, and never more than this share of it.
 PEAK_SHARE = 0.5
+# Height of a leaning wall's foot, relative to the wall: solids need some.
+FOOT = 0.1
+# Distance of grains and level of the flux between them, in median diameters: their light is that of packed spheres.
+GRAIN_PITCH, FLUX_DEPTH = 1.2, 0.375
 
 
 class Paste(Frozen):
     """How paste is printed: numbers, or the distributions each deposit's own are drawn from."""
 
-    material: str = "solder-paste"
+    material: str = UNRESOLVED
+    """Of paste whose grains are not resolved."""
+    grain_material: str = "solder"
+    flux_material: str = "flux"
+    """Between the grains of granular paste."""
     stencil_mm: Annotated[Quantity, within(0.02, 0.5)] = 0.12
     """Stencil thickness, drawn once a print; 0.08 to 0.15 is usual."""
     transfer: Transfer = Transfer()
@@ -54,9 +64,13 @@ class Paste(Frozen):
     offset_y_mm: Quantity = 0.0
     rotation_deg: Quantity = 0.0
     slump_mm: NonNegative = 0.0
-    """Growth of the footprint on every side at unchanged volume."""
+    """Growth of the footprint on every side at unchanged volume. The walls' feet move out and their tops do not, so that they lean by
+    as much."""
+    corner_mm: Annotated[float, Field(ge=0.0, le=0.2)] = 0.05
+    """Radius of the footprint's corners, a quarter of its shorter side at most: openings are cut with radii of 2 mil (T. Lentz, SMT007
+    Magazine, July 2019, p. 37)."""
     edge_mm: Annotated[Quantity, within(0.001, 1.0)] = 0.04
-    """Radius of the rounded shoulder."""
+    """Radius of the rounded shoulder: no edge is sharper than a grain, 40 um at most in type 4."""
     wall: Annotated[Quantity, within(0.05, 1.0)] = 0.3
     """Height of the upright wall at the rim, relative to the plateau."""
     scoop: Annotated[Quantity, within(0.0, 0.9)] = 0.0
@@ -69,12 +83,27 @@ class Paste(Frozen):
     """Standard deviation of the surface's lumps, relative to the plateau."""
     lump_mm: PositiveFloat = 0.15
     """Wavelength of the lumps."""
-    texture: Literal["smooth", "granular"] = "smooth"
-    """granular: the surface is a layer of alloy grains, one diameter deep at most."""
+    texture: Literal["auto", "smooth", "granular"] = "auto"
+    """granular: the surface is a layer of alloy grains, one diameter deep at most. auto: granular where the camera's pixels on the
+    board are smaller than half a grain's median diameter, else smooth, with a material that looks the same; smooth, too, where
+    `material` is another."""
     powder: Literal[3, 4, 5, 6, 7] = 4
     """Powder type of J-STD-005, for the grains."""
     step_mm: Annotated[float, Field(ge=0.001, le=0.2)] = 0.01
     """Width of the triangles; granular paste takes a third of the grains' mean radius if that is less."""
+
+    def seen_by(self, pixel_mm: float) -> "Paste":
+        """The same with `auto` decided for pixels of this size on the board."""
+        if self.texture != "auto":
+            return self
+        resolved = pixel_mm < self.grain_mm / 2 and self.material == UNRESOLVED
+        return self.model_copy(update={"texture": "granular" if resolved else "smooth"})
+
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """Names of the materials it may show."""
+        grains = (self.grain_material, self.flux_material)
+        return (self.material, *(grains if self.texture != "smooth" else ()))
 
     def transfer_to(self, names: Iterable[str]) -> Transfer:
         """What is transferred to a part of these names, most special first."""
@@ -84,7 +113,7 @@ class Paste(Frozen):
     @property
     def fine_step_mm(self) -> float:
         """Triangle width that shows the texture."""
-        if self.texture == "smooth":
+        if self.texture != "granular":
             return self.step_mm
         return min(self.step_mm, self.grain_mm / 2 / 3)
 
@@ -106,6 +135,8 @@ class Form:
     roughness: float
     stroke: tuple[float, float] = (0.0, 1.0)
     """Unit vector along which the stencil was printed, in the aperture's own frame."""
+    lean_mm: float = 0.0
+    """How far the walls lean in from their feet."""
     peak_mm: float = 0.0
     """Height of a peak above the surface around it."""
     peak_width_mm: float = 0.1
@@ -137,10 +168,11 @@ def deposit(
         taken = PEAK_SHARE * volume_mm3
     scale = (volume_mm3 - taken) / float((weights * shape).sum())
     height = scale * shape + peak
+    bed = None
     if paste.texture == "granular":
-        height = _grains(xy, height, paste, rng)
+        height, bed = _grains(xy, height, paste, rng)
         height *= volume_mm3 / float((weights * height).sum())
-    return Heightfield(xy, mesh.faces, mesh.rims, height)
+    return Heightfield(xy, mesh.faces, mesh.rims, height, bed)
 
 
 def shoulder(depth_mm: Floats, edge_mm: float, wall: float) -> Floats:
@@ -156,8 +188,13 @@ def _shape(
     depth = mesh.depth_mm
     deepest = float(depth.max())
     # A narrow deposit's shoulders meet in its middle.
-    edge = min(form.edge_mm, max(deepest, 1e-9))
-    shape = shoulder(depth, edge, form.wall)
+    lean = min(form.lean_mm, deepest / 2)
+    edge = min(form.edge_mm, max(deepest - lean, 1e-9))
+    shape = shoulder(np.maximum(depth - lean, 0.0), edge, form.wall)
+    if lean > 0.0:
+        # What is narrower than a triangle is seen as a lower rim.
+        foot = max(1.0 - lean / paste.fine_step_mm, FOOT)
+        shape = np.where(depth < lean, form.wall * np.maximum(depth / lean, foot), shape)
     relief = np.zeros(1)
     if form.scoop:
         relief = relief - form.scoop * (1.0 - (1.0 - depth / max(deepest, 1e-9)) ** 2)
@@ -201,13 +238,16 @@ def _waves(xy: Floats, wavelength_mm: float, rng: np.random.Generator) -> Floats
     return np.asarray(np.sqrt(2.0 / WAVES) * np.cos(xy @ k + phase).sum(axis=1))
 
 
-def _grains(xy: Floats, height: Floats, paste: Paste, rng: np.random.Generator) -> Floats:
-    """The surface as a layer of spheres whose tops touch the envelope: a jittered hexagonal packing seen from above.
+def _grains(
+    xy: Floats, height: Floats, paste: Paste, rng: np.random.Generator
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """The surface as a layer of spheres whose tops touch the envelope: a jittered hexagonal packing seen from above; and where the
+    flux between them is seen.
 
     Seen from above only, so that the deposit stays a heightfield and its volume exact; `scenes.shapes.grains` packs whole
     spheres. Between the grains the surface falls to the flux that fills the gaps.
     """
-    pitch = paste.grain_mm
+    pitch = GRAIN_PITCH * paste.grain_mm
     low, high = xy.min(axis=0) - pitch, xy.max(axis=0) + pitch
     rows = np.arange(low[1], high[1], pitch * np.sqrt(3.0) / 2.0)
     x, y = np.meshgrid(np.arange(low[0], high[0], pitch), rows)
@@ -219,5 +259,5 @@ def _grains(xy: Floats, height: Floats, paste: Paste, rng: np.random.Generator) 
     reach = radius[nearest]
     dome = np.sqrt(np.maximum(reach**2 - distance**2, 0.0)) - reach
     # The flux level is three quarters of a radius below the tops.
-    relief = np.maximum(dome.max(axis=1), -0.375 * pitch)
-    return np.asarray(np.maximum(height + relief, 0.2 * height))
+    relief, bed = dome.max(axis=1), -FLUX_DEPTH * paste.grain_mm
+    return np.maximum(height + np.maximum(relief, bed), 0.2 * height), relief <= bed

@@ -23,7 +23,6 @@ from scenes.board.layers import Legend
 from scenes.board.pad_layout import Layout, Pad, area_ratio, rounded
 from scenes.board.paste import Form, deposit
 from scenes.board.stray_paste import drawn_bridges, foreign_body, lifted, smear_tail
-from scenes.shapes.heightfield import Heightfield
 from scenes.shapes.tessellation import Tessellation, tessellate
 from scenes.support.distribution import draw
 
@@ -32,6 +31,8 @@ Floats = NDArray[np.float64]
 # Streams of random numbers; 0 is the board's layers.
 PRINT, PAD = 1, 2
 FIELD = 5
+# Rounding that takes less of the area than this is that of a circle's polygon, not of corners.
+LEAST_CORNER = 1e-3
 
 
 @dataclass(frozen=True)
@@ -157,7 +158,7 @@ def _deposit(board: Board, layout: Layout, pad: Pad, registration: _Registration
 
     stretch = (1.0 + slump / half) * np.sqrt(defects.area)
     shaped = deposit(
-        _tessellated(opening.wkb, paste.fine_step_mm),
+        _tessellated(_blunt(opening, paste.corner_mm).wkb, paste.fine_step_mm),
         volume,
         (float(stretch[0]), float(stretch[1])),
         Form(
@@ -167,6 +168,7 @@ def _deposit(board: Board, layout: Layout, pad: Pad, registration: _Registration
             ear,
             rough,
             (float(stroke[0]), float(stroke[1])),
+            slump,
             defects.peak_mm,
             defects.peak_width_mm,
             defects.peak_at,
@@ -178,12 +180,21 @@ def _deposit(board: Board, layout: Layout, pad: Pad, registration: _Registration
     xy = _turned(shaped.xy_mm, slant + turn + defects.rotation_rad) + offset
     xy = xy + (1.0 + registration.stretch) * centre
     xy = _turned(xy, registration.turn_rad) + registration.shift_mm
-    field = Heightfield(xy, shaped.faces, shaped.rims, shaped.height_mm)
+    field = replace(shaped, xy_mm=xy)
     whole = Deposit(pad, aperture, defects, ratio, efficiency, field, speck=speck)
     if defects.tail is None:
         return whole
     tail, volume = smear_tail(defects, whole.footprint, 2.0 * float(half.min()), paste)
     return replace(whole, tail=tail, tail_volume_mm3=volume)
+
+
+def _blunt(opening: shapely.Polygon, corner_mm: float) -> shapely.Polygon:
+    """The opening with its corners rounded; as it is where it has none, or would fall into pieces."""
+    low, high = np.array(opening.bounds).reshape(2, 2)
+    radius = min(corner_mm, float((high - low).min()) / 4)
+    blunt = opening.buffer(-radius).buffer(radius, quad_segs=4)
+    lost = 1.0 - blunt.area / opening.area
+    return blunt if blunt.geom_type == "Polygon" and LEAST_CORNER < lost < 0.1 else opening
 
 
 def _none_left(defects: PadDefects) -> PadDefects:

@@ -89,9 +89,9 @@ def coco(scene: Scene, file_name: str, image_id: int = 1) -> dict[str, Any]:
     >>> sorted(scenes.coco(scenes.load("spi"), "picture.png"))
     ['annotations', 'categories', 'images', 'info', 'licenses']
     """
-    if scene.board is None:
+    if scene.seen_board is None:
         raise SceneError(f"scene '{scene.name}' has no board: only boards have pads to label")
-    camera, print_ = scene.camera.projection(), printed(scene.board)
+    camera, print_ = scene.camera.projection(), printed(scene.seen_board)
     annotations: list[dict[str, Any]] = []
     for name, pad, outline, z_mm in _outlines(print_):
         seen = _imaged(outline, z_mm, camera)

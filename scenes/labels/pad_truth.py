@@ -170,9 +170,9 @@ def board_truth(scene: Scene) -> BoardTruth:
     >>> len(truth.pads)
     102
     """
-    if scene.board is None:
+    if scene.seen_board is None:
         raise SceneError(f"scene '{scene.name}' has no board: only boards have pads to label")
-    return truth_of(printed(scene.board))
+    return truth_of(printed(scene.seen_board))
 
 
 def truth_of(print_: Print) -> BoardTruth:

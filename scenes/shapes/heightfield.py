@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
 from scenes.shapes.tessellation import Floats, Ints, areas
 
@@ -24,6 +25,8 @@ class Heightfield:
     """Indices of the vertices along each border, outer and inner."""
     height_mm: Floats
     """(vertex,) above the base plane."""
+    bed: NDArray[np.bool_] | None = None
+    """(vertex,) where flux is seen between grains; None: the surface shows no grains."""
 
     @property
     def face_areas_mm2(self) -> Floats:

@@ -22,7 +22,8 @@ from scenes.board.transfer import Transfer
 from scenes.labels.pad_truth import BoardTruth, PadTruth, truth_of
 from scenes.support.errors import SceneError
 
-QUIET: dict[str, Any] = {"step_mm": 0.02, "transfer": {"spread": 0.0}}
+# Square corners: triangles along arcs are not symmetric to a nanometre.
+QUIET: dict[str, Any] = {"step_mm": 0.02, "corner_mm": 0.0, "transfer": {"spread": 0.0}}
 HUNDREDS: list[dict[str, Any]] = [
     {
         "package": "qfp",

@@ -54,6 +54,8 @@ def test_transfer_efficiency_meets_the_published_points() -> None:
         (Form(0.04, 0.3, 0.0, 0.0, 0.0, peak_mm=0.15, peak_at=(0.2, -0.3)), {}),
         (Form(0.5, 0.1, 0.0, 0.0, 0.0), {}),
         (PLAIN, {"texture": "granular", "powder": 3}),
+        (Form(0.04, 0.3, 0.1, 0.2, 0.1, lean_mm=0.02), {}),
+        (Form(0.04, 0.3, 0.0, 0.0, 0.0, lean_mm=0.004), {}),
     ],
 )
 def test_volume_is_the_same_for_every_shape(form: Form, paste: dict[str, Any]) -> None:
@@ -117,3 +119,48 @@ def test_grain_relief_is_below_one_grain() -> None:
 def test_deposit_without_volume_is_refused() -> None:
     with pytest.raises(MeshError, match="missing"):
         printed(volume=0.0)
+
+
+def test_walls_lean_as_far_as_the_feet_moved_out() -> None:
+    lean, wall = 0.03, 0.6
+    field = printed(Form(0.04, wall, 0.0, 0.0, 0.0, lean_mm=lean), step_mm=0.005)
+    top = field.height_mm.max()
+    # Along the middle of a long side, from the rim inwards: depth is the distance from y = -0.2.
+    along = np.abs(field.xy_mm[:, 0]) < 0.1
+    depth, height = field.xy_mm[along, 1] + 0.2, field.height_mm[along] / top
+    sloped = (depth > 0.004) & (depth < lean)
+    assert height[sloped] == pytest.approx(wall * depth[sloped] / lean)
+    # Then the shoulder: a quarter of an ellipse that ends level.
+    q = np.clip((depth - lean) / 0.04, 0.0, 1.0)
+    inner = (depth >= lean) & (depth < 0.2)
+    assert height[inner] == pytest.approx(wall + (1 - wall) * np.sqrt(q * (2 - q))[inner])
+    # A lean narrower than a triangle lowers the rim by the part of the wall that is missing.
+    narrow = printed(Form(0.04, wall, 0.0, 0.0, 0.0, lean_mm=0.0025), step_mm=0.01)
+    rim = narrow.height_mm[narrow.rims[0]]
+    assert rim == pytest.approx(0.75 * wall * narrow.height_mm.max())
+
+
+@pytest.mark.parametrize(
+    ("pixel_um", "powder", "granular"),
+    [
+        (15.6, 4, False),
+        (12.5, 4, False),
+        (11.5, 4, True),
+        (14.0, 3, True),
+        (15.5, 3, False),
+        (9.5, 5, False),
+        (3.0, 6, True),
+    ],
+)
+def test_auto_shows_grains_where_a_pixel_is_below_half_a_grain(
+    pixel_um: float, powder: int, granular: bool
+) -> None:
+    # Median diameters by number: 29.6, 24.0, 17.5 and 6.3 um for types 3 to 6, by Hatch and Choate from the mass's log-normal.
+    paste = Paste.model_validate({"powder": powder}).seen_by(pixel_um * 1e-3)
+    assert paste.texture == ("granular" if granular else "smooth")
+    for texture in ("smooth", "granular"):
+        assert (
+            Paste.model_validate({"texture": texture}).seen_by(pixel_um * 1e-3).texture == texture
+        )
+    # Paint has no grains.
+    assert Paste(material="grey-paint").seen_by(pixel_um * 1e-3).texture == "smooth"
