@@ -36,8 +36,6 @@ Points = NDArray[np.float64]
 
 # Pixels computed at once: their float64 numbers stay in the cache, which is twice as fast as a megapixel at once.
 BLOCK = 1 << 15
-# The change of height that slopes are taken over.
-SLOPE_MM = 1e-3
 # Light paths per pixel if the share of direct light has to be traced here.
 SAMPLES = 16
 # Distance from its surface at which a shadow ray starts, in scene radii: 50 times float32's rounding of a coordinate.
@@ -121,7 +119,6 @@ def _truth(scene: Scene, surface: "_Surface", camera: Projection, transport: Tra
     pad, material = np.zeros(count, np.uint32), np.zeros(count, np.uint16)
     lit = np.zeros((len(projectors), count), np.bool_)
     image = np.full((2, len(projectors), count), np.nan, np.float32)
-    px_per_mm = np.full_like(image, np.nan)
     for start in range(0, count, BLOCK):
         origin, direction = camera.rays(pixels[start : start + BLOCK])
         triangle = surface.first_hit(origin, direction)
@@ -143,11 +140,6 @@ def _truth(scene: Scene, surface: "_Surface", camera: Projection, transport: Tra
                 continue
             where, _ = projection.project(point)
             image[:, p, at] = where.T
-            # Where the pixel's ray is a little higher.
-            step = SLOPE_MM / direction[hit][:, 2:]
-            px_per_mm[:, p, at] = (
-                projection.project(point + step * direction[hit])[0] - where
-            ).T / SLOPE_MM
             lit[p, at] = surface.lit(point, facing, where, projection)
         if second is not None:
             lit[:, at] &= surface.lit(point, facing, second.project(point)[0], second)
@@ -165,7 +157,7 @@ def _truth(scene: Scene, surface: "_Surface", camera: Projection, transport: Tra
         pad.reshape(shape) if scene.board else None,
         material.reshape(shape),
         surface.materials,
-        None if scene.screens else height_noise_mm(transport, px_per_mm.reshape(2, -1, *shape)),
+        height_noise_mm(transport, xyz.reshape(*shape, 3)),
         identity(scene),
     )
 

@@ -27,6 +27,8 @@ Mask = NDArray[np.bool_]
 
 # Above this the decoder rejects a pixel as dark: eight standard deviations of noise in its modulation.
 MOST_SENSOR_NOISE_RAD = 1 / 8
+# The change of height that slopes are taken over.
+SLOPE_MM = 1e-3
 # Where no exposure is free of saturation, pixels that miss the limit by this share of the decoder's slack count, too.
 SATURATION_SLACK = 0.1
 
@@ -179,25 +181,36 @@ def on_chip(transport: Transport) -> NDArray[np.float32]:
 
 
 def height_noise_mm(
-    transport: Transport, px_per_mm: NDArray[np.float32]
+    transport: Transport, xyz_mm: NDArray[np.float32]
 ) -> NDArray[np.float32] | None:
     """Standard deviation of height from light paths alone, mm (row, col), of the projector that modulates a pixel most.
 
-    `px_per_mm` is how far a projector's column and row move per height along the pixel's ray, (axis, projector, row, col).
-    None if the noise is not known.
+    `xyz_mm` are the points that pixels see, (row, col, 3), as `scenes.Truth` has them. None if the noise is not known, and with
+    a screen, which measures slopes.
     """
-    fringes = finest_fringes(transport.scene.patterns, transport.bases)
-    if transport.noise_rad is None or not fringes:
+    scene = transport.scene
+    fringes = finest_fringes(scene.patterns, transport.bases)
+    if transport.noise_rad is None or not fringes or scene.screens:
         return None
     noise = on_chip(transport)
+    camera = scene.camera.projection()
+    point = xyz_mm.reshape(-1, 3).astype(np.float64)
+    _, direction = camera.rays(camera.pixel_centres().reshape(-1, 2))
+    # Where the pixel's ray is a little higher.
+    higher = point + SLOPE_MM / direction[:, 2:] * direction
     axes = [fringe.axis for fringe in fringes]
     heights, power = [], []
     for p, basis in enumerate(transport.bases):
-        chosen_axis = measuring_axis(transport.scene, axes, p)
+        chosen_axis = measuring_axis(scene, axes, p)
         fringe = fringes[chosen_axis]
-        slope = px_per_mm[("column", "row").index(fringe.axis), p]
+        projector = scene.projectors[p].projection()
+        moved = projector.project(higher)[0] - projector.project(point)[0]
+        px_per_mm = moved[:, ("column", "row").index(fringe.axis)].reshape(xyz_mm.shape[:2])
+        px_per_mm /= SLOPE_MM
         with np.errstate(divide="ignore", invalid="ignore"):
-            heights.append(noise[chosen_axis, p] * fringe.period_px / (2.0 * np.pi * np.abs(slope)))
+            heights.append(
+                noise[chosen_axis, p] * fringe.period_px / (2.0 * np.pi * np.abs(px_per_mm))
+            )
         channels = transport.total[p, : len(basis.channels)]
         power.append((fringe.phasor(channels, p) ** 2).sum(axis=0))
     best = np.argmax(power, axis=0)[None]
