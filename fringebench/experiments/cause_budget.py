@@ -14,6 +14,7 @@ import scenes
 from evaluation.scoring.error_budget import Causes, ErrorBudget, variants
 from evaluation.scoring.error_budget import budget as add_up
 from fringebench.progress import StepProgress, Steps
+from render.light_noise import height_noise_mm
 from scenes.acquisition.sensor import Emva, Sensor, without_blur
 from scenes.rig.devices import EVEN
 from scenes.support.errors import DecodeError, FringebenchError
@@ -94,9 +95,9 @@ def budget(
             times = render.expose(lights[optical], seed=seed, steady=True).exposure_ms
         seen: Causes = on & (TRACED | {"psf"})
         if truth.render_noise_mm is not None and seen not in noise:
-            own = render.truth(lights[optical].scene, _behind(lights[optical], on), surfaces)
-            assert own.render_noise_mm is not None
-            noise[seen] = own.render_noise_mm
+            own = height_noise_mm(_behind(lights[optical], on), truth.xyz_mm)
+            assert own is not None
+            noise[seen] = own
         if "conveyor" in on and optical not in moved:
             with steps.step("trace light of each picture"):
                 lit = [frame.projector for frame in scene.frames for _ in times]
