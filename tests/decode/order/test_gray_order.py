@@ -114,6 +114,21 @@ def test_one_clipped_exposure_of_two_does_not_disturb_the_code() -> None:
     )
 
 
+def test_pixel_across_an_edge_is_at_that_edge() -> None:
+    """It sees both cells, which differ in one bit: that is unsure, and the others say which edge it is."""
+    patterns = GrayCode(bits=(6,), cell_px=4.0)
+    edges = 4.0 * np.arange(1.0, 64.0)[None]
+    light = [
+        sum(patterns.commanded(f, edges + side) for side in (-1.0, 1.0)) for f in patterns.frames()
+    ]
+    frames = np.round(30.0 + 80.0 * np.array(light)).astype(np.uint8)[None]
+    sensor = SimpleSensor(sigma_dn=1.0)
+    stack = Stack(frames, patterns.frames(), (1.0,), sensor, projector_resolution=(256, 192))
+    rec = decode.reconstruct(stack, height="phase")
+    assert rec.valid.all()
+    np.testing.assert_allclose(rec.phases["column"].coordinate_px, edges)
+
+
 def test_bits_lost_to_blur_widen_the_cell_and_the_claimed_sigma() -> None:
     sharp = take(GrayCode(bits=(9,)), sigma_dn=2.0)
     blurred = take(GrayCode(bits=(9,)), sigma_dn=2.0, blur_px=2.0)

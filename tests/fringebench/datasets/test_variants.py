@@ -9,7 +9,7 @@ import pytest
 
 import render
 from fringebench.datasets.building import build
-from fringebench.datasets.data_card import write_card
+from fringebench.datasets.data_card import _volumes, write_card
 from fringebench.datasets.dataset_plan import DatasetPlan
 from fringebench.datasets.pictures import srgb
 from fringebench.datasets.reader import Dataset
@@ -96,6 +96,19 @@ def test_hugging_face_reads_the_shards_by_the_card(
             numbers = np.asarray(row["modulation.png"])
             np.testing.assert_array_equal(numbers * step_dn, sample.modulation_dn)
             assert json.loads(row["labels.txt"]) == sample.labels
+
+
+def test_card_gives_mean_and_coefficient_of_variation_by_area_ratio() -> None:
+    # Area ratio, volume in per cent.
+    pads = np.array(
+        [(0.4, 40.0), (0.49, 60.0), (0.5, 80.0), (5.0, 100.0), (6.0, 90.0), (7.0, 110.0)]
+    )
+    rows = [row[1:] for row in _volumes(pads).rows]
+    assert rows == [
+        ["2", "50.0", "20.0"],
+        ["1", "80.0", "0.0"],
+        ["3", "100.0", f"{np.sqrt(200 / 3):.1f}"],
+    ]
 
 
 def test_card_counts_what_the_labels_hold(varied: Path) -> None:

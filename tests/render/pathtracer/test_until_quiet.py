@@ -95,7 +95,11 @@ def test_paths_that_end_by_chance_lose_no_light() -> None:
 
 
 def test_every_label_reaches_the_share_asked_for() -> None:
-    light = render.trace(scenes.load("step", SMALL), render_noise=0.5)
+    shares: list[float] = []
+    light = render.trace(scenes.load("step", SMALL), render_noise=0.5, progress=shares.append)
+    # What was planned does not suffice here, so that all three rounds are counted.
+    assert shares == sorted(shares)
+    assert shares[-1] == pytest.approx(1.0)
     assert light.render_noise is not None
     assert light.render_noise.met
     assert set(light.render_noise.reached) == {"base", "step"}
@@ -254,9 +258,7 @@ def test_paths_meet_the_target_with_minimum_work_when_variances_are_known() -> N
 
 def test_file_keeps_noise_and_what_was_reached(tmp_path: Path) -> None:
     scene = scenes.load("step", {**SMALL, "patterns.axes": ["column", "row"]})
-    shares: list[float] = []
-    light = render.trace(scene, render_noise=2.0, progress=shares.append)
-    assert shares == sorted(shares) and shares[0] > 0.0 and shares[-1] <= 1.0
+    light = render.trace(scene, render_noise=2.0)
     light.write(tmp_path / "transport.exr")
     again = render.Transport.read(tmp_path / "transport.exr")
     assert again.render_noise == light.render_noise

@@ -355,22 +355,27 @@ def test_volumes_of_neighbours_are_alike_where_they_share_all_their_variance() -
 
 
 @pytest.mark.parametrize("turn_deg", [0.0, 30.0, -30.0])
-def test_long_openings_across_the_stroke_and_clogged_ones_transfer_less(turn_deg: float) -> None:
+@pytest.mark.parametrize("stroke", ["x", "y"])
+def test_long_openings_across_the_stroke_and_clogged_ones_transfer_less(
+    stroke: str, turn_deg: float
+) -> None:
     part = {"package": "qfp", "position_mm": [0, 0], "pins": 4, "row_mm": 4.0}
     part |= {"rotation_deg": turn_deg}
     part |= {"pad_mm": [1.2, 0.3], "pitch_mm": 1.0}
 
     def share(**transfer: Any) -> Any:
-        pads = truth_of(printed(board([part], paste={"transfer": {"spread": 0.0} | transfer}))).pads
+        paste = {"transfer": {"spread": 0.0} | transfer, "stroke": stroke}
+        pads = truth_of(printed(board([part], paste=paste))).pads
         return np.array([pad.volume_mm3 / pad.nominal_volume_mm3 for pad in pads])
 
     plain = share()
     across = share(across=0.9) / plain
-    # The stroke is along y: pads of the left and right side are across it. (1.2 - 0.3) / (1.2 + 0.3) of the effect; of slanted
-    # ones, by what they measure across and along it.
+    # Pads of the left and right side are across a stroke along y. (1.2 - 0.3) / (1.2 + 0.3) of the effect; of slanted ones,
+    # by what they measure across and along it.
     cosine, sine = np.cos(np.deg2rad(turn_deg)), abs(np.sin(np.deg2rad(turn_deg)))
     slant = 0.6 * (cosine - sine) / (cosine + sine)
-    assert across == pytest.approx([0.9**slant, 1.0] * 2, rel=1e-6)
+    sides = [0.9**slant, 1.0] if stroke == "y" else [1.0, 0.9**slant]
+    assert across == pytest.approx(sides * 2, rel=1e-6)
     assert share(clogging=0.1, prints_since_wipe=5) == pytest.approx(plain**1.5, rel=1e-6)
     assert share(clogging=0.1) == pytest.approx(plain)
 

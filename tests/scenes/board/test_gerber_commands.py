@@ -127,6 +127,7 @@ FILES: dict[str, tuple[str, list[float]]] = {
         ]
         * 4,
     ),
+    "outline off the origin": ("%AMOO*4,1,3,1,1,2,1,1,2,1,1,0*%\n%ADD10OO*%\nD10*\n" + at(0, 0, "D03"), [0.5]),
     "lower left line": ("%AMLL*22,1,1.0,0.5,0,0,0*%\n%ADD10LL*%\nD10*\n" + at(0, 0, "D03"), [0.5]),
     "vector line, turned": ("%AMVL*2,1,0.5,0,0,1,0,30*%\n%ADD10VL*%\nD10*\n" + at(0, 0, "D03"), [0.5]),
     "expressions": (

@@ -35,6 +35,10 @@ def test_every_bar_has_its_length_and_is_inside_the_volume() -> None:
 def test_rig_without_faults_measures_to_its_noise() -> None:
     result = accept(scenes.load("step", SMALL))
     assert len(result.positions) == len(BARS) + len(PLANES)
+    # VDI/VDE 2634-2: at least half of the volume's diagonal, and it is inside the field.
+    field = common_field(scenes.load("step", SMALL).calibration()).size_mm
+    assert 0.5 * result.diagonal_mm <= result.plane_mm[0] * (1 + 1e-9) < field[0]
+    assert 0.5 * field[1] < result.plane_mm[1] < field[1]
     worst, noise = result.worst(), result.noise()
     # the largest of 14 and of 6 ranges; each scatters by some 8 % about its mean
     assert worst["probing form"] < 1.3 * noise["probing form"]
