@@ -70,8 +70,13 @@ def radiance(body: str, angle_deg: float, depth: int = 4, **values: object) -> f
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("angle_deg", [27.0, 45.0])
-def test_rough_metal_is_as_bright_as_grains_that_are_not_resolved(angle_deg: float) -> None:
+# What docs/boards.md claims: a tenth where inspection machines light, some more at steeper and flatter light.
+@pytest.mark.parametrize(
+    ("angle_deg", "within"), [(15.0, 0.15), (27.0, 0.1), (45.0, 0.1), (60.0, 0.15)]
+)
+def test_rough_metal_is_as_bright_as_grains_that_are_not_resolved(
+    angle_deg: float, within: float
+) -> None:
     white = radiance(WHITE, angle_deg, depth=1)
     smooth = radiance(PAD, angle_deg, texture="smooth", powder=4, seed=0) / white
     # GGX microfacets, seen along the normal, single scattering: F D G / (4 cos), with tin's F = 0.82 at normal incidence.
@@ -88,7 +93,7 @@ def test_rough_metal_is_as_bright_as_grains_that_are_not_resolved(angle_deg: flo
                 for seed in (1, 2)
             ]
             # Some 200 grains of type 3 are seen in each: their glints scatter by a few percent.
-            assert np.mean(seen) == pytest.approx(smooth, rel=0.1), (body, powder, seen)
+            assert np.mean(seen) == pytest.approx(smooth, rel=within), (body, powder, seen)
 
 
 def test_grains_and_the_flux_between_them_are_paste_of_the_same_volume() -> None:
