@@ -11,6 +11,7 @@ from scipy import optimize, stats
 import decode
 from decode.device import Device
 from decode.fusion.censored_likelihood import mills
+from decode.fusion.interface import MaxModulation
 from decode.fusion.merging import MaxModulationOfRepeats, PhasorSum
 from decode.phase.n_step import fringe_sets
 from scenes.acquisition.patterns import PhaseShift
@@ -268,6 +269,14 @@ def test_of_repeated_times_the_one_of_largest_modulation_is_taken() -> None:
         # Noise of 0.5 DN and rounding: 0.58 sqrt(2/4) DN of B = 80, or of B = 20 by half of that where two are averaged.
         sigma_rad = 0.58 * np.sqrt(0.5) / (20.0 * np.sqrt(2.0) if clipped else 80.0)
         assert float(np.std(errors(rec, phase))) == pytest.approx(sigma_rad, rel=0.2)
+
+
+def test_times_without_repeats_are_not_added() -> None:
+    stack = capture(all_phases(4, 64), 20.0, 15.0, (1.0, 4.0, 2.0), SimpleSensor(sigma_dn=2.0), 1)
+    one, other = (phases(stack, rule) for rule in (MaxModulationOfRepeats(), MaxModulation()))
+    np.testing.assert_array_equal(one.wrapped_rad, other.wrapped_rad)
+    # Rounding of another order of sums.
+    np.testing.assert_allclose(one.sigma_mm, other.sigma_mm, rtol=1e-5)
 
 
 def test_sum_of_repeats_is_their_mean() -> None:

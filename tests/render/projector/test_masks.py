@@ -5,7 +5,7 @@ import pytest
 
 import render
 import scenes
-from render.projector.masks import masked
+from render.projector.masks import _levels, masked
 from scenes.acquisition.patterns import GrayBits, PhaseShift
 from scenes.support.errors import RenderError
 
@@ -50,6 +50,14 @@ def test_stripes_as_a_mask_are_the_stripes_that_were_traced() -> None:
             assert errors[-1] < 0.5 * np.sqrt(np.mean(wrong**2)) / scale
     assert len(errors) == 2
     assert max(errors) < 0.2
+
+
+def test_level_between_mask_pixels_is_linear_from_centre_to_centre() -> None:
+    """Pixel k spans from k to k + 1; beyond the outermost centres the level stays."""
+    row, column = np.mgrid[:6, :8].astype(np.float64)
+    at = np.random.default_rng(0).uniform(0.5, 5.5, (2, 50))
+    found = _levels((10.0 * row + column)[None], at, np.zeros(50))
+    np.testing.assert_allclose(found, 10.0 * (at[0] - 0.5) + at[1] - 0.5, rtol=1e-6)
 
 
 def test_masks_of_another_size_are_refused() -> None:

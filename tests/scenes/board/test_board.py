@@ -255,6 +255,13 @@ def test_every_use_of_random_numbers_has_its_own(monkeypatch: pytest.MonkeyPatch
     assert len(set(of_pads)) == len(of_pads)
 
 
+@pytest.mark.parametrize("inset_mm", [0.0, 0.02, 0.2])
+def test_openings_of_a_bga_are_inside_its_smallest_pads(inset_mm: float) -> None:
+    for land in Bga(position_mm=(0.0, 0.0), pad_mm=0.06).lands(inset_mm):
+        assert land.openings[0].area > 0.0
+        assert land.openings[0].difference(land.pad).area < 1e-12
+
+
 def test_touching_deposits_are_a_bridge() -> None:
     chips = [{"package": "chip", "size": "0201", "position_mm": [0.0, 0.0]}]
     truth = truth_of(printed(board(chips, paste=QUIET | {"slump_mm": 0.1})))

@@ -146,6 +146,10 @@ def test_noise_of_a_textured_surface_is_that_of_its_samples(steps: int) -> None:
     assert noise_dn(digital, 255.0, 1.0, shown) == pytest.approx(wanted, rel=0.06)
 
 
+def test_noise_of_frames_too_small_to_show_it_is_that_of_rounding() -> None:
+    assert noise_dn(np.zeros((1, 3, 2, 2), np.uint8), step_dn=4.0) == pytest.approx(4.0 / 12.0**0.5)
+
+
 def test_noise_leaves_out_saturated_pixels() -> None:
     rng = np.random.default_rng(2)
     level = np.full((200, 300), 120.0)

@@ -14,9 +14,17 @@ from tests.conftest import Call
 SMALL = {"camera.resolution": [320, 240], "sampling.samples": 16}
 
 
+# No bar across fits into it.
+NARROW = {
+    "camera.resolution": [640, 200],
+    "camera.calibrated_at": [640, 200],
+    "camera.cy_px": 100.0,
+}
+
+
 def test_every_bar_has_its_length_and_is_inside_the_volume() -> None:
-    for name in ("step", "bench"):
-        scene = scenes.load(name)
+    for name, change in (("step", {}), ("bench", {}), ("step", NARROW)):
+        scene = scenes.load(name, change)
         field = common_field(scene.calibration())
         low, high = scene.height_range_mm
         diagonal = float(np.linalg.norm([*field.size_mm, high - low]))

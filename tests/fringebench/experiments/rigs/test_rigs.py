@@ -86,6 +86,11 @@ def test_twin_measures_its_objects(tmp_path: Path) -> None:
     scene = twin(source.calibration(), "mine", 300.0)
     scenes.save(scene, tmp_path / "mine.toml")
     scene = scenes.load(tmp_path / "mine.toml", {"camera.resolution": [160, 120]})
+    # They are high enough to be seen, and leave half of the range above them.
+    width, height = common_field(scene.calibration()).size_mm
+    tops = {part.label: float(part.mesh.bounds[1, 2]) for part in scenes.parts(scene)}
+    for label in ("cap", "step"):
+        assert 0.025 * min(width, height) < tops[label] <= 0.5 * scene.height_range_mm[1], label
     transport = render.trace(scene, samples=16)
     rec = decode.reconstruct(render.expose(transport, seed=1))
     truth = render.truth(scene, transport)
