@@ -21,19 +21,20 @@ CELL_IS_PERIOD = PhaseShift(periods_px=(16.0,), gray=GrayBits(bits=5, cell_px=16
 HALF_CELLS = PhaseShift(periods_px=(16.0,), gray=GrayBits(bits=6, cell_px=8.0))
 
 
-def level_rig() -> Calibration:
-    """The projector is straight to the camera's right: epipolar lines are rows."""
+def level_rig(axis: str = "column") -> Calibration:
+    """The projector is straight to the camera's right, so that epipolar lines are rows; or above it, and they are columns."""
     made = rig("pinhole", "pinhole", size=SIZE)
-    projector = made.projectors[0].model_copy(update={"pose": LookAt(origin_mm=(35, 0, 50))})
+    origin_mm = (35.0, 0.0, 50.0) if axis == "column" else (0.0, 35.0, 50.0)
+    projector = made.projectors[0].model_copy(update={"pose": LookAt(origin_mm=origin_mm)})
     return made.model_copy(update={"projectors": (projector,)})
 
 
 def coded(patterns: PhaseShift, shift_px: float, height_mm: Map, calibration: Calibration) -> Stack:
     """Noisy 8-bit frames whose Gray code is shifted against the fringes."""
-    column, _ = coordinates(calibration, height_mm)
+    at = dict(zip(("column", "row"), coordinates(calibration, height_mm), strict=True))
     shown = patterns.frames()
     light = np.stack(
-        [patterns.commanded(f, column + (shift_px if f.kind == "gray" else 0.0)) for f in shown]
+        [patterns.commanded(f, at[f.axis] + (shift_px if f.kind == "gray" else 0.0)) for f in shown]
     )
     noise = np.random.default_rng(5).normal(0.0, 1.0, light.shape)
     counts = np.clip(np.round(20.0 + 160.0 * light + noise), 0, 255).astype(np.uint8)
@@ -112,8 +113,12 @@ def test_parts_whose_height_is_one_period_pass() -> None:
     assert finding(coded(HALF_CELLS, 0.0, height, calibration), "neighbours").verdict == "ok"
 
 
-def test_coordinates_out_of_order_along_epipolar_lines_are_detected() -> None:
-    shifted = finding(coded(CELL_IS_PERIOD, 8.0, hills(SIZE), level_rig()), "epipolar order")
+@pytest.mark.parametrize("axis", ["column", "row"])
+def test_coordinates_out_of_order_along_epipolar_lines_are_detected(axis: str) -> None:
+    patterns, calibration = CELL_IS_PERIOD.model_copy(update={"axes": (axis,)}), level_rig(axis)
+    aligned = finding(coded(patterns, 0.0, hills(SIZE), calibration), "epipolar order")
+    assert aligned.verdict == "ok"
+    shifted = finding(coded(patterns, 8.0, hills(SIZE), calibration), "epipolar order")
     # A code half a period off lowers half of the pixels by a period, below the half before them.
     assert shifted.verdict == "wrong"
     assert shifted.value is not None and shifted.value > 0.3

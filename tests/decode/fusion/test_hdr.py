@@ -12,7 +12,7 @@ import decode
 from decode.device import Device
 from decode.fusion.censored_likelihood import mills
 from decode.fusion.interface import MaxModulation
-from decode.fusion.merging import MaxModulationOfRepeats, PhasorSum
+from decode.fusion.merging import MaxModulationOfRepeats, MeanOfSets, PhasorSum
 from decode.phase.n_step import fringe_sets
 from scenes.acquisition.patterns import PhaseShift
 from scenes.acquisition.sensor import Emva, Sensor, SimpleSensor
@@ -277,6 +277,15 @@ def test_times_without_repeats_are_not_added() -> None:
     np.testing.assert_array_equal(one.wrapped_rad, other.wrapped_rad)
     # Rounding of another order of sums.
     np.testing.assert_allclose(one.sigma_mm, other.sigma_mm, rtol=1e-5)
+
+
+def test_mean_of_two_sets_has_the_phase_and_the_modulation_of_both() -> None:
+    phase = all_phases(4, 64)
+    stack = capture(phase, 100.0, 80.0, (1.0,), SimpleSensor(sigma_dn=0.0), seed=1, steps=8)
+    rec = phases(stack, MeanOfSets())
+    # Rounding errs by half a digital number at most; half a turn of steps fits a modulation to a few of these.
+    np.testing.assert_allclose(rec.modulation_dn, 80.0, atol=2.0)
+    assert np.abs(errors(rec, phase)).max() < 2.0 / 80.0
 
 
 def test_sum_of_repeats_is_their_mean() -> None:

@@ -135,6 +135,9 @@ def test_a_pixel_that_stands_out_widens_its_neighbours() -> None:
     near = np.zeros_like(height, dtype=bool)
     near[6:9, 5:8] = True
     assert np.array_equal(of_heights(height).cause_sigma_mm["mixed"] > 0, near)
+    # A pixel without a height beside them has no noise that would explain it.
+    height[7, 8] = np.nan
+    assert (of_heights(height).cause_sigma_mm["mixed"][near] > 0).all()
 
 
 @pytest.mark.parametrize(("times", "rejected"), [(3.0, False), (4.0, True)])
