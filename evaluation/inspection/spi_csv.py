@@ -17,7 +17,7 @@ MACHINE_COLUMNS = (
     *("OffsetX(mm)", "OffsetY(mm)", "OffsetX(%)", "OffsetY(%)", "Shape(um)", "Result", "Defect"),
 )
 # What machines do not export and a second judgement needs.
-OWN_COLUMNS = ("BridgedTo", "Coverage(%)", "Reference(mm)", "Bare")
+OWN_COLUMNS = ("BridgedTo", "Coverage(%)", "Reference(mm)", "Bare", "NumberOnBoard")
 COLUMNS = (*MACHINE_COLUMNS, *OWN_COLUMNS)
 # Needed to read a file; the others may be absent.
 NEEDED = ("PadID", "Volume(um3)", "Area(um2)", "Height(um)", "OffsetX(mm)", "OffsetY(mm)")
@@ -55,7 +55,8 @@ def write_spi_csv(
     Notes
     -----
     Percentages are of the aperture's area, of aperture area x stencil thickness, and of the aperture's size. ``Height``
-    is volume over area, and ``Shape`` is the peak's height above it. A figure that was not measured is empty.
+    is volume over area, and ``Shape`` is the peak's height above it. A figure that was not measured is empty. ``PadID`` is
+    unique in a panel; a pad's number on its ``Board`` is ``NumberOnBoard``.
     """
     nominal = {pad.pad: pad for pad in board.pads}
     text = io.StringIO()
@@ -129,7 +130,7 @@ def _row(
     passed = verdicts == ("pass",)
     words = {
         "PanelID": panel,
-        "Board": "1",
+        "Board": str(nominal.board),
         "ComponentID": component,
         "PadID": str(pad.pad),
         "PinNumber": pin if component else "",
@@ -138,6 +139,7 @@ def _row(
         "Defect": "" if passed else ";".join(verdicts),
         "BridgedTo": ";".join(map(str, pad.bridged_to)),
         "Bare": str(int(pad.bare)) if isinstance(pad, PadMeasure) else "",
+        "NumberOnBoard": str(nominal.number or nominal.pad),
     }
     # Twelve digits: nothing that a limit could see is lost.
     return words | {k: "" if v is None else f"{v:.12g}" for k, v in figures.items()}

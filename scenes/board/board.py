@@ -1,5 +1,6 @@
 """A printed circuit board in a scene: artwork, layers, printed paste and defects."""
 
+from collections.abc import Sequence
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, PositiveFloat, model_validator
@@ -10,7 +11,7 @@ from scenes.board.component_packages import Component
 from scenes.board.extras.fiducials import with_drawn
 from scenes.board.extras.holes import with_holes
 from scenes.board.gerber.gerber_board import GerberBoard
-from scenes.board.pad_layout import Layout
+from scenes.board.pad_layout import Area, Bounds, Layout, Pad
 from scenes.support.errors import nearest
 
 
@@ -33,17 +34,22 @@ class ParametricBoard(BoardBase):
                 raise ValueError(f"paste.packages: no part is '{name}': {nearest(name, known)}")
         return self
 
-    def layout(self) -> Layout:
-        """The artwork, cut to the region."""
-        arguments = (self.parts, self.size_mm, self.aperture_inset_mm, self.mask_clearance_mm)
-        whole = component_packages.layout(*arguments, None)
-        box = self.box_around(whole.pads, whole.box)
-        layout = whole if box is None else component_packages.layout(*arguments, box)
+    def whole(self) -> tuple[Sequence[Pad], Area]:
+        layout = self._parts(None)
+        return layout.pads, layout.board
+
+    def part(self, pads: Sequence[Pad], outline: Area, box: Bounds) -> Layout:
+        layout = self._parts(box)
         if self.fiducials is not None:
             layout = with_drawn(layout, self.fiducials)
         if self.holes is None:
             return layout
-        return with_holes(layout, (), self.holes, self.mask_clearance_mm, whole.board)
+        return with_holes(layout, (), self.holes, self.mask_clearance_mm, outline)
+
+    def _parts(self, box: Bounds | None) -> Layout:
+        return component_packages.layout(
+            self.parts, self.size_mm, self.aperture_inset_mm, self.mask_clearance_mm, box
+        )
 
 
 Board = Annotated[GerberBoard | ParametricBoard, Field(discriminator="kind")]

@@ -8,10 +8,11 @@ import shapely
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
 
 from scenes.board.defects import Defects
+from scenes.board.extras.board_panel import BoardPanel, on_copy
 from scenes.board.extras.fiducials import Fiducials
 from scenes.board.extras.holes import Holes
 from scenes.board.layers import Layers, Legend, Stackup
-from scenes.board.pad_layout import Bounds, Pad
+from scenes.board.pad_layout import Area, Bounds, Layout, Pad
 from scenes.board.paste import Paste
 from scenes.board.warp import Warp, WarpedPlane
 from scenes.support.distribution import draw
@@ -80,6 +81,8 @@ class BoardBase(Frozen):
     """Absent: the board has none, whatever its drill files say."""
     fiducials: Fiducials | None = None
     """Absent: fiducials have the label `pad`."""
+    panel: BoardPanel | None = None
+    """Absent: the board is alone."""
     warp: Warp = Warp()
     paste: Paste = Paste()
     defects: Defects = Defects()
@@ -97,8 +100,8 @@ class BoardBase(Frozen):
         others = (
             (LEGEND, self.legend is not None),
             (CONTAMINATION, contaminated),
-            (HOLE, self.holes is not None),
-            (FIDUCIAL, self.fiducials is not None),
+            (HOLE, self.through is not None),
+            (FIDUCIAL, self.fiducials is not None or (self.panel and self.panel.fiducial_mm)),
             (SCRATCH, self.defects.scratch.probability > 0),
             (RESIDUE, self.defects.residue.probability > 0),
         )
@@ -115,8 +118,13 @@ class BoardBase(Frozen):
             *self.paste.materials,
             self.defects.contamination.material,
             self.defects.residue.material,
-            *(part.material for part in (self.legend, self.holes) if part),
+            *(part.material for part in (self.legend, self.through) if part),
         )
+
+    @property
+    def through(self) -> Holes | None:
+        """What shows where the board is cut through; None where it is nowhere."""
+        return self.holes or (Holes() if self.panel else None)
 
     def generator(self, *key: int) -> np.random.Generator:
         """Independent random numbers of one item of the board, the same in any order of drawing."""
@@ -130,7 +138,7 @@ class BoardBase(Frozen):
         )
         legend = draw(self.legend.height_mm, rng) if self.legend else 0.0
         dip = draw(self.holes.dip_mm, rng) if self.holes else 0.0
-        depth = self.holes.depth_mm if self.holes else 0.0
+        depth = self.through.depth_mm if self.through else 0.0
         shift = draw(layers.mask_shift_x_mm, rng), draw(layers.mask_shift_y_mm, rng)
         film = draw(self.defects.residue.height_mm, rng)
         return Stackup(copper, copper + finish, mask, legend, dip, depth, shift, film)
@@ -139,21 +147,46 @@ class BoardBase(Frozen):
         """The drawn tilt and bow, world coordinates."""
         return self.warp.drawn(self.generator(WARP))
 
-    def box_around(self, pads: tuple[Pad, ...], board: Bounds) -> Bounds | None:
-        """The region's box, None for the whole board; `SceneError` for a pad the board lacks."""
+    def whole(self) -> tuple[Sequence[Pad], Area]:
+        """All pads of one board, and its outline."""
+        raise NotImplementedError
+
+    def part(self, pads: Sequence[Pad], outline: Area, box: Bounds) -> Layout:
+        """The artwork of one board cut to a box."""
+        raise NotImplementedError
+
+    def layout(self) -> Layout:
+        """The artwork, cut to the region; raises `FileError` or `SceneError` for what cannot be read or is missing."""
+        pads, outline = self.whole()
+        if self.panel is None:
+            return self.part(pads, outline, self._box(pads, outline))
+        places = enumerate(self.panel.places(outline.bounds))
+        all_pads = [p for k, place in places for p in on_copy(pads, k, len(pads), place)]
+        box = self._box(all_pads, self.panel.outline(outline.bounds))
+        return self.panel.layout(
+            lambda window: self.part(pads, outline, window), outline, len(pads), box
+        )
+
+    def _box(self, pads: Sequence[Pad], outline: Area) -> Bounds:
+        """The region's box; `SceneError` for one off the board, and for a pad the board lacks."""
+        box: Bounds = outline.bounds
         if self.region is not None:
-            return self.region.box(pads, board, self.generator(REGION))
-        if not self.pads:
-            return None
-        known = {pad.id: pad for pad in pads}
-        for number in self.pads:
-            if number not in known:
-                raise SceneError(
-                    f"board.pads: pad {number} does not exist; the board has 1 to {len(pads)}"
-                )
-        around = shapely.union_all([known[number].outline for number in self.pads])
-        x0, y0, x1, y1 = around.buffer(self.margin_mm, join_style="mitre").bounds
-        return x0, y0, x1, y1
+            box = self.region.box(pads, box, self.generator(REGION))
+        elif self.pads:
+            known = {pad.id: pad for pad in pads}
+            for number in self.pads:
+                if number not in known:
+                    raise SceneError(
+                        f"board.pads: pad {number} does not exist; the board has 1 to {len(pads)}"
+                    )
+            around = shapely.union_all([known[number].outline for number in self.pads])
+            box = around.buffer(self.margin_mm, join_style="mitre").bounds
+        if outline.intersects(shapely.box(*box)):
+            return box
+        raise SceneError(
+            f"board.region {tuple(round(v, 3) for v in box)} mm is outside the board, which spans "
+            f"{tuple(round(v, 3) for v in outline.bounds)} mm"
+        )
 
 
 def _box_about(centre_mm: tuple[float, float], size_mm: tuple[float, float]) -> Bounds:

@@ -61,7 +61,7 @@ def _bodies(board: Board, print_: Print) -> Iterable[Body]:
         "scratched laminate": (SCRATCH, layers.laminate_material),
         FIDUCIAL: (FIDUCIAL, layers.pad_material),
         LEGEND: (LEGEND, board.legend.material if board.legend else ""),
-        HOLE: (HOLE, board.holes.material if board.holes else ""),
+        HOLE: (HOLE, board.through.material if board.through else ""),
         "plated wall": (HOLE, layers.pad_material),
         "bare wall": (HOLE, layers.laminate_material),
     }

@@ -102,8 +102,8 @@ class Leaded(PartBase):
             )
         return self
 
-    def rows(self, inset_mm: float) -> list[Land]:
-        """The pads of the four sides, counter-clockwise from the left side's top."""
+    def lands(self, inset_mm: float) -> list[Land]:
+        """The pads of the four sides with their openings, counter-clockwise from the left side's top."""
         count, (length, width) = self.pins // 4, self.pad_mm
         lands = []
         for side in range(4):
@@ -125,10 +125,6 @@ class Qfp(Leaded):
     pitch_mm: PositiveFloat = 0.5
     row_mm: PositiveFloat = 8.325
     pad_mm: tuple[PositiveFloat, PositiveFloat] = (1.475, 0.3)
-
-    def lands(self, inset_mm: float) -> list[Land]:
-        """Pads and openings, in the part's frame."""
-        return self.rows(inset_mm)
 
 
 class Qfn(Leaded):
@@ -161,7 +157,7 @@ class Qfn(Leaded):
         places = (np.arange(self.panes) - (self.panes - 1) / 2) * pitch
         panes = tuple(rectangle(x, y, size, size) for y in places for x in places)
         thermal = Land("EP", rectangle(0.0, 0.0, self.thermal_mm, self.thermal_mm), panes)
-        return [*self.rows(inset_mm), thermal]
+        return [*super().lands(inset_mm), thermal]
 
 
 class Bga(PartBase):

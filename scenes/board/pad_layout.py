@@ -1,6 +1,6 @@
 """A board's artwork as polygons in board coordinates (mm, y up), from Gerber files or a list of parts."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
@@ -22,7 +22,7 @@ class Pad:
     """One opening of the stencil, and so one deposit."""
 
     id: int
-    """1 and up, in the order of the artwork; the same in every region of a board."""
+    """1 and up, in the order of the artwork, board after board of a panel; the same in every region."""
     name: str
     centre_mm: tuple[float, float]
     """Where the artwork places it, board coordinates."""
@@ -30,6 +30,10 @@ class Pad:
     """The opening, relative to `centre_mm`."""
     part: tuple[str, ...] = ()
     """Name, its letters, size and package of its part, where known."""
+    board: int = 1
+    """Which of a panel's boards it is on."""
+    number: int = 0
+    """Its id if that board were alone; 0: the id itself."""
 
     @property
     def outline(self) -> shapely.Polygon:
@@ -106,14 +110,16 @@ def cut_layout(
     pads: Sequence[Pad], copper: Area, openings: Area, board: Area, legend: Area, box: Bounds
 ) -> Layout:
     """The artwork of a whole board, cut to a box."""
-    inside = board.intersection(shapely.box(*box))
+    frame = shapely.box(*box)
+    inside = board.intersection(frame)
+    over = [pad for pad in pads if not within_box(pad.outline, box)]
     return Layout(
         tuple(pad for pad in pads if within_box(pad.outline, box)),
         copper.intersection(inside),
         openings.intersection(inside),
         inside,
         box,
-        cut_pads(pads, box),
+        tuple(pad for pad in over if pad.outline.intersection(frame).area > 0.0),
         legend.intersection(inside),
     )
 
@@ -159,16 +165,6 @@ def area_ratio(aperture: shapely.Polygon, stencil_mm: float) -> float:
     1.0
     """
     return float(aperture.area / (aperture.length * stencil_mm))
-
-
-def cut_pads(pads: Iterable[Pad], box: Bounds) -> tuple[Pad, ...]:
-    """The pads that a box's edge cuts."""
-    frame = shapely.box(*box)
-    return tuple(
-        pad
-        for pad in pads
-        if not within_box(pad.outline, box) and pad.outline.intersection(frame).area > 0.0
-    )
 
 
 def within_box(area: Area, box: Bounds) -> bool:

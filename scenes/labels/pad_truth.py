@@ -28,8 +28,12 @@ class PadTruth(Frozen):
     """One pad as printed; positions in the world, mm."""
 
     pad: int
-    """Id, as in per-pixel truth; the same in every region of a board."""
+    """Id, as in per-pixel truth; the same in every region of a board, and unique in a panel."""
     name: str
+    board: int = 1
+    """Which of a panel's boards it is on."""
+    number: int | None = None
+    """Its id if that board were alone; None in older files."""
     x_mm: float
     """Centroid of the nominal aperture."""
     y_mm: float
@@ -255,6 +259,8 @@ def _pad(deposit: Deposit, stencil_mm: float, partners: tuple[int, ...]) -> PadT
     return PadTruth(
         pad=deposit.pad.id,
         name=deposit.pad.name,
+        board=deposit.pad.board,
+        number=deposit.pad.number or deposit.pad.id,
         x_mm=centre.x,
         y_mm=centre.y,
         size_mm=(x1 - x0, y1 - y0),

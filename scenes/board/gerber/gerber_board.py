@@ -54,10 +54,8 @@ class GerberBoard(BoardBase):
                 )
         return self
 
-    def layout(self) -> Layout:
-        """The artwork, cut to the region; raises `FileError` or `SceneError` for what cannot be read or is missing."""
-        paths = self.layer_paths()
-        mirrored = self.side == "bottom"
+    def whole(self) -> tuple[Sequence[Pad], Area]:
+        paths, mirrored = self.layer_paths(), self.side == "bottom"
         pads = gerber.read_pads(paths["paste"], mirrored)
         everything = shapely.union_all([pad.outline for pad in pads])
         outline = (
@@ -66,15 +64,11 @@ class GerberBoard(BoardBase):
             else shapely.box(*everything.buffer(2.0).bounds)
         )
         _report_outside(pads, outline)
-        x0, y0, x1, y1 = outline.bounds
-        whole = (x0, y0, x1, y1)
-        box = self.box_around(pads, whole) or whole
+        return pads, outline
+
+    def part(self, pads: Sequence[Pad], outline: Area, box: Bounds) -> Layout:
+        paths, mirrored = self.layer_paths(), self.side == "bottom"
         board = outline.intersection(shapely.box(*box))
-        if board.is_empty:
-            raise SceneError(
-                f"board.region {tuple(round(v, 3) for v in box)} mm is outside the board, which spans "
-                f"{tuple(round(v, 3) for v in outline.bounds)} mm"
-            )
         near = shapely.union_all([pad.outline for pad in pads if pad.outline.intersects(board)])
         openings = (
             gerber.read_area(paths["mask"], box, mirrored)

@@ -1,0 +1,175 @@
+"""Panels made of a board: place and number of every copy's pads, areas of gaps and rails, and prints of their own."""
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+import render
+import scenes
+from evaluation.inspection.spi_csv import write_spi_csv
+from scenes.board.board import ParametricBoard
+from scenes.board.printing import artwork, printed
+from scenes.board.surface import surfaces
+from scenes.labels.pad_truth import BoardTruth, PadTruth, truth_of
+from scenes.support.errors import SceneError
+from tests.scenes.board.test_fiducials import gerber_board
+from tests.scenes.board.test_holes import DISK, seen
+
+# Three by two boards of 10 x 8 mm, 2 mm apart and 2 mm from the rails: 34 x 32 mm.
+SIZE = (10.0, 8.0)
+PANEL = {"rows": 2, "columns": 3, "rail_mm": 5.0, "fiducial_mm": 1.0}
+# Everything of a deposit differs from one to the next.
+SCATTERED = {
+    "offset_x_mm": {"kind": "normal", "mean": 0.0, "sd": 0.02},
+    "slump_mm": {"kind": "uniform", "low": 0.0, "high": 0.02},
+    "scoop": {"kind": "uniform", "low": 0.0, "high": 0.3},
+}
+
+
+def board(panel: dict[str, Any] | None, **settings: Any) -> ParametricBoard:
+    parts = [{"package": "chip", "name": "R1", "size": "0603", "position_mm": [1.0, -2.0]}]
+    tree = {"size_mm": SIZE, "parts": parts, "panel": panel, **settings}
+    return ParametricBoard.model_validate(tree)
+
+
+def of_board(truth: BoardTruth, number: int) -> list[PadTruth]:
+    return [pad for pad in truth.pads if pad.board == number]
+
+
+def test_each_copy_has_the_boards_pads_at_its_pitch_with_ids_of_their_own() -> None:
+    alone, layout = artwork(board(None)), artwork(board(PANEL))
+    assert [pad.id for pad in layout.pads] == list(range(1, 13))
+    for pad in layout.pads:
+        first = alone.pads[(pad.id - 1) % 2]
+        row, column = divmod(pad.board - 1, 3)
+        assert pad.board == 1 + (pad.id - 1) // 2
+        assert (pad.number, pad.name) == (first.id, first.name)
+        there = np.add(first.centre_mm, (12.0 * column, 10.0 * row))
+        assert pad.centre_mm == pytest.approx(there, abs=1e-12)
+    # The first board stays where it is alone: rails reach 7 mm below it.
+    assert layout.box == pytest.approx((-5.0, -11.0, 29.0, 21.0))
+
+
+def test_gaps_are_cut_through_and_tabs_rails_and_boards_are_not() -> None:
+    of = board(PANEL)
+    parts = surfaces(artwork(of), of.stackup())
+    # Tabs of 2 x 2 mm: 2 gaps in each of 2 rows, 3 gaps (2 of them beside rails) in each of 3 columns.
+    tabs = (2 * 2 + 3 * 3) * 2.0 * 2.0
+    gaps = 34.0 * 32.0 - 6 * SIZE[0] * SIZE[1] - 2 * 34.0 * 5.0 - tabs
+    # Depth of the support, as under holes.
+    assert seen(parts["hole"]) == pytest.approx({-1.6: gaps + 4 * DISK * 3.0**2}, rel=1e-4)
+    assert seen(parts["fiducial"]) == pytest.approx({0.04: 3 * DISK}, rel=1e-4)
+    assert "plated wall" not in parts
+    copper = sum(seen(parts["pad"]).values())
+    assert copper == pytest.approx(12 * 0.8 * 0.95, rel=1e-6)
+    # Seen from above nothing is missing and nothing is twice.
+    total = sum(sum(seen(part).values()) for part in parts.values())
+    assert total == pytest.approx(34.0 * 32.0, rel=1e-6)
+    assert {"hole", "fiducial"} <= set(of.labels) and "hole" not in board(None).labels
+
+
+@pytest.mark.parametrize(
+    ("settings", "gaps"),
+    [
+        ({"gap_mm": 0.0}, 0.0),
+        ({"tab_mm": 0.0}, 34.0 * 32.0 - 480.0 - 340.0),
+        # Wider than gap_mm along x: 2 gaps of 3 mm become 16 mm high, less the rows' tabs; rails stay 2 mm off.
+        ({"pitch_mm": [13.0, 8.0]}, 2 * 3.0 * (16.0 - 2 * 2.0) + 2 * 2.0 * (36.0 - 3 * 2.0)),
+    ],
+)
+def test_gaps_are_as_wide_as_asked(settings: dict[str, Any], gaps: float) -> None:
+    of = board(PANEL | {"tooling_mm": 0.0} | settings)
+    holes = surfaces(artwork(of), of.stackup()).get("hole")
+    assert (sum(seen(holes).values()) if holes else 0.0) == pytest.approx(gaps, rel=1e-6)
+
+
+def test_a_copy_is_a_print_of_its_own_and_the_first_is_as_without_a_panel() -> None:
+    settings = {"paste": SCATTERED, "region": {"centre_mm": [0.0, 0.0], "size_mm": SIZE}}
+    assert (
+        truth_of(printed(board(PANEL, **settings))).pads
+        == truth_of(printed(board(None, **settings))).pads
+    )
+    truth = truth_of(printed(board(PANEL, paste=SCATTERED)))
+    for figure in ("volume_mm3", "offset_x_mm", "area_mm2", "peak_height_mm"):
+        assert len({round(getattr(pad, figure), 9) for pad in truth.pads}) == 12
+
+
+def test_all_boards_get_the_same_paste_where_nothing_scatters() -> None:
+    truth = truth_of(printed(board(PANEL, paste={"transfer": {"spread": 0.0}})))
+    volumes = [sum(p.volume_mm3 for p in of_board(truth, k)) for k in range(1, 7)]
+    assert volumes == pytest.approx([volumes[0]] * 6, rel=1e-9) and volumes[0] > 0.0
+
+
+def test_a_region_over_two_boards_has_the_near_pads_of_both() -> None:
+    # From 1 to 13: pads of 0.8 mm are at 0.175 (outside), 1.825, 12.175 and 13.825 (outside).
+    region = {"centre_mm": [7.0, -2.0], "size_mm": [12.0, 4.0]}
+    layout = artwork(board(PANEL, region=region))
+    assert [(pad.id, pad.board, pad.number) for pad in layout.pads] == [(2, 1, 2), (3, 2, 1)]
+    assert [pad.id for pad in artwork(board(PANEL, pads=[2, 3])).pads] == [2, 3]
+    with pytest.raises(SceneError, match="pad 13 does not exist; the board has 1 to 12"):
+        artwork(board(PANEL, pads=[13]))
+
+
+@pytest.mark.parametrize("side", ["top", "bottom"])
+def test_boards_from_files_are_copied_with_their_own_fiducials(tmp_path: Path, side: str) -> None:
+    named = "%TA.AperFunction,FiducialPad,Local*%\n"
+    alone = gerber_board(tmp_path, named).model_copy(update={"region": None, "side": side})
+    tree = alone.model_dump() | {"panel": {"columns": 2, "gap_mm": 1.5}}
+    panel = artwork(type(alone).model_validate(tree))
+    one = artwork(alone)
+    # 12 x 8 mm each.
+    assert panel.board.area == pytest.approx(25.5 * 8.0)
+    assert [hole.outline.area for hole in panel.holes] == pytest.approx([1.5 * 3.0] * 2)
+    places = [pad.centre_mm for pad in one.pads]
+    assert [p.centre_mm for p in panel.pads] == [*places, *((x + 13.5, y) for x, y in places)]
+    marks = [(mark.centroid.x, mark.centroid.y) for mark in one.fiducials]
+    assert np.allclose(
+        [(mark.centroid.x, mark.centroid.y) for mark in panel.fiducials],
+        [*marks, *((x + 13.5, y) for x, y in marks)],
+    )
+    assert panel.copper.area == pytest.approx(2 * one.copper.area)
+    assert panel.openings.area == pytest.approx(2 * one.openings.area)
+
+
+def test_pixels_and_tables_name_the_board(tmp_path: Path) -> None:
+    overrides = {
+        "camera.resolution": [320, 240],
+        "camera.field_width_mm": 34.0,
+        "board": board(PANEL).model_dump(mode="json"),
+    }
+    scene = scenes.load("spi", overrides)
+    truth = scenes.board_truth(scene)
+    maps = render.truth(scene)
+    assert maps.pad is not None
+    assert set(np.unique(maps.pad[maps.region("paste")])) == set(range(1, 13))
+    # The panel's middle, which is the world's, is (12, 5) on the first board: between two boards, on a tab, on a rail.
+    for place, label in (((6.0, 3.0), "hole"), ((6.0, 0.0), "mask"), ((3.0, -7.5), "mask")):
+        away = np.linalg.norm(maps.xyz_mm[..., :2] - np.subtract(place, (12.0, 5.0)), axis=-1)
+        assert maps.region(label).flat[np.nanargmin(away)]
+    write_spi_csv(truth.pads, truth, tmp_path / "truth.csv", panel="A")
+    with (tmp_path / "truth.csv").open(newline="") as file:
+        found = [
+            (r["PanelID"], r["Board"], r["PadID"], r["NumberOnBoard"], r["PinNumber"])
+            for r in csv.DictReader(file)
+        ]
+    assert found == [
+        ("A", str(k + 1), str(2 * k + i), str(i), str(i)) for k in range(6) for i in (1, 2)
+    ]
+    truth.write(tmp_path / "board.json")
+    assert BoardTruth.read(tmp_path / "board.json") == truth
+
+
+def test_what_cannot_be_is_refused() -> None:
+    with pytest.raises(SceneError, match=r"10.000 x 8.000 mm overlap; make it larger"):
+        artwork(board(PANEL | {"pitch_mm": [9.0, 10.0]}))
+    for wrong, message in (
+        ({"tooling_mm": 5.5}, "rail_mm 5.0 is too narrow for tooling_mm 5.5"),
+        ({"rail_mm": 0.0}, "fiducial_mm 1.0 in an opening of twice that"),
+        ({"gap": 1.0}, "gap"),
+    ):
+        with pytest.raises(ValidationError, match=message):
+            board(PANEL | wrong)
