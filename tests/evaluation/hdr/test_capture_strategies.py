@@ -181,6 +181,9 @@ def test_inverted_and_complementary_sets_are_what_their_papers_show() -> None:
     assert degrees("inverted", reference()) == [0, 120, 240, 180, 300, 420]
     assert degrees("complementary", reference()) == [0, 90, 180, 270, 45, 135, 225, 315]
     assert degrees("complementary", reference(3)) == [0, 120, 240, 60, 180, 300]
+    # Of nine frames two sets of four steps use eight, those of three only six.
+    shot = captured("complementary", reference(3), "equal-frames").shot
+    assert sum(f.period_px == 16.0 for f in shot.patterns.frames()) == 8
 
 
 def test_leftover_frames_become_more_steps() -> None:

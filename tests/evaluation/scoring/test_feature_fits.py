@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from evaluation.scoring.feature_fits import APEX_RADIUS, features, robust_fit
+from evaluation.scoring.feature_fits import APEX_RADIUS, _largest, features, robust_fit
 from scenes.files.truth_maps import Truth
 from tests.evaluation.synthetic_truth import Floats, Grid, TruthMaker
 
@@ -189,9 +189,24 @@ def test_robust_fit_is_95_percent_efficient() -> None:
     rng = np.random.default_rng(4)
     t = np.linspace(-1.0, 1.0, 200)
     design = np.stack([np.ones_like(t), t], axis=1)
-    fits = np.array([robust_fit(design, rng.normal(0.0, 1.0, t.size)) for _ in range(1000)])
+    noise = rng.normal(0.0, 1.0, (1000, t.size))
+    fits = np.array([robust_fit(design, one) for one in noise])
     ratio = fits.var(axis=0) / np.diag(np.linalg.inv(design.T @ design))
     assert (ratio < BISQUARE_LOSS * (1.0 + SIGMAS * np.sqrt(2.0 / 1000))).all()
+    # Of the same samples, whose fits correlate by sqrt(0.95): a ratio of variances scatters by sqrt(4 (1 - 0.95) / 1000).
+    least = np.linalg.lstsq(design, noise.T, rcond=None)[0].T
+    assert fits.var(axis=0) / least.var(axis=0) == pytest.approx(1 / 0.95, abs=3 * 0.0142)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_largest_piece_of_a_mask_is_found_wherever_it_is(turned: bool) -> None:
+    mask, large = np.zeros((2, 20, 20), np.bool_)
+    large[10:15, 8:13] = True
+    mask[2:4, 3:5] = True
+    mask |= large
+    if turned:
+        mask, large = mask[::-1, ::-1], large[::-1, ::-1]
+    np.testing.assert_array_equal(_largest(mask), large)
 
 
 def test_points_in_a_line_determine_no_plane() -> None:

@@ -178,6 +178,12 @@ def test_arcs_of_a_region_keep_the_area(tmp_path: Path, radius: float, pieces: i
     assert pad.area == pytest.approx(np.pi * radius**2, rel=3e-6 / radius)
 
 
+def test_line_by_its_corner_begins_there(tmp_path: Path) -> None:
+    body = "%AMLL*22,1,1.0,0.5,0.3,-0.2,0*%\n%ADD10LL*%\nD10*\n" + at(0, 0, "D03")
+    (pad,) = pads_of(tmp_path, body)
+    assert pad.bounds == pytest.approx((0.3, -0.2, 1.3, 0.3))
+
+
 def test_single_quadrant_arc_is_the_short_one(tmp_path: Path) -> None:
     body = "G74*\nG36*\n" + at(1, 0, "D02") + "G03*\n" + at(0, 1, "I1000000J0D01")
     body += "G01*\n" + at(0, 0, "D01") + at(1, 0, "D01") + "G37*\n"

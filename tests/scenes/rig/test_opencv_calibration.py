@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from scenes.rig.calibration_files import entries
+from scenes.rig.calibration_files import _is_rotation, entries
 from scenes.rig.opencv_calibration import Pair, Source
 from scenes.support.errors import FileError, FringebenchWarning
 
@@ -183,6 +183,14 @@ def test_camera_of_another_size_is_refused(tmp_path: Path) -> None:
     unsized = Source(files=(write(tmp_path / "unsized.yml", PARTS),))
     with pytest.raises(FileError, match="does not say the second device's size"):
         unsized.calibration((2592, 1944))
+
+
+def test_rotations_are_rotations_whatever_their_rounding_and_mirrors_are_none() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        rotation = cv2.Rodrigues(rng.normal(0.0, 1.0, 3))[0]
+        assert _is_rotation(rotation)
+        assert not _is_rotation(-rotation)
 
 
 @pytest.mark.parametrize("name", ["rig.yml", "rig.xml", "rig.json"])

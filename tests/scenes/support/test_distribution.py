@@ -85,3 +85,17 @@ def test_quantity_that_could_leave_its_range_is_refused(value: object, message: 
 def test_fraction_above_one_is_refused() -> None:
     with pytest.raises(ValidationError, match="0 to 1 is allowed"):
         TypeAdapter(Fraction).validate_python(1.2)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_interval_of_a_truncated_normal_may_begin_six_deviations_off_and_no_farther(
+    side: float,
+) -> None:
+    for near, allowed in ((6.0, True), (6.01, False)):
+        low, high = sorted((side * near, side * 9.0))
+        keys = {"kind": "truncated-normal", "mean": 0.0, "sd": 1.0, "low": low, "high": high}
+        if allowed:
+            TruncatedNormal.model_validate(keys)
+            continue
+        with pytest.raises(ValidationError, match="beyond 6 sd"):
+            TruncatedNormal.model_validate(keys)
