@@ -44,20 +44,16 @@ class BoardRegion(Frozen):
         if self.centre_mm is not None:
             return _box_about(self.centre_mm, self.size_mm)
         for i in rng.permutation(len(pads)):
-            x0, y0, x1, y1 = pads[i].outline.bounds
-            centre = []
-            for pad, ends, size in (
-                ((x0, x1), (board[0], board[2]), self.size_mm[0]),
-                ((y0, y1), (board[1], board[3]), self.size_mm[1]),
-            ):
+            pad, centre = pads[i].outline.bounds, list[float]()
+            for k, size in enumerate(self.size_mm):
                 # Both the pad and, unless the board is smaller, the board's edge bound the centre.
-                low, high = pad[1] - size / 2, pad[0] + size / 2
-                if size < ends[1] - ends[0]:
-                    low, high = max(low, ends[0] + size / 2), min(high, ends[1] - size / 2)
-                centre.append(float(rng.uniform(low, high)) if low <= high else None)
-            x, y = centre
-            if x is not None and y is not None:
-                return _box_about((x, y), self.size_mm)
+                low, high = pad[k + 2] - size / 2, pad[k] + size / 2
+                if size < board[k + 2] - board[k]:
+                    low, high = max(low, board[k] + size / 2), min(high, board[k + 2] - size / 2)
+                if low <= high:
+                    centre.append(float(rng.uniform(low, high)))
+            if len(centre) == len(self.size_mm):
+                return _box_about((centre[0], centre[1]), self.size_mm)
         raise SceneError(
             f"board.region of {list(self.size_mm)} mm holds none of the {len(pads)} pads: make it larger"
         )

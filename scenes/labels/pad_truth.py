@@ -236,14 +236,9 @@ def _pad(deposit: Deposit, stencil_mm: float, partners: tuple[int, ...]) -> PadT
     aperture, field = deposit.aperture, deposit.field
     centre = aperture.centroid
     x0, y0, x1, y1 = aperture.bounds
-    measured: dict[str, Any] = {
-        "volume_mm3": 0.0,
-        "area_mm2": 0.0,
-        "mean_height_mm": 0.0,
-        "peak_height_mm": 0.0,
-        "offset_x_mm": None,
-        "offset_y_mm": None,
-    }
+    sizes = ("volume_mm3", "area_mm2", "mean_height_mm", "peak_height_mm")
+    measured: dict[str, Any] = dict.fromkeys(sizes, 0.0)
+    measured |= {"offset_x_mm": None, "offset_y_mm": None}
     if field is not None:
         x, y = field.centroid_mm
         volume, area = field.volume_mm3, field.area_mm2

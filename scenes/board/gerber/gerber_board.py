@@ -93,11 +93,8 @@ class GerberBoard(BoardBase):
     ) -> Sequence[shapely.Polygon]:
         if settings.positions_mm:
             return at_positions(layout, settings)
-        found = (
-            gerber.read_fiducials(paths["copper"], self.side == "bottom")
-            if "copper" in paths
-            else ()
-        )
+        copper = paths.get("copper")
+        found = gerber.read_fiducials(copper, self.side == "bottom") if copper else ()
         if not found:
             raise FileError(
                 "[board.fiducials] asks for fiducials, and no aperture of the board's copper layer has the attribute "
@@ -133,14 +130,9 @@ class GerberBoard(BoardBase):
     def layer_paths(self) -> dict[gerber.Role, Path]:
         """The file of each layer that is used."""
         given = {role: getattr(self.files, role) for role in gerber.ROLES}
-        named = {
-            role: path if self.folder is None else self.folder / path
-            for role, path in given.items()
-            if path is not None
-        }
-        if self.folder is None:
-            return named
-        return gerber.layer_files(self.folder, self.side, named)
+        folder = self.folder or Path()
+        named = {role: folder / path for role, path in given.items() if path is not None}
+        return gerber.layer_files(folder, self.side, named) if self.folder else named
 
 
 def _report_outside(pads: tuple[Pad, ...], outline: Area) -> None:

@@ -163,6 +163,24 @@ def test_pixels_and_tables_name_the_board(tmp_path: Path) -> None:
     assert BoardTruth.read(tmp_path / "board.json") == truth
 
 
+def test_drawn_regions_are_anywhere_on_the_panel_and_whole() -> None:
+    of = board(PANEL, region={"size_mm": [6.0, 5.0]})
+    layouts = [artwork(of.model_copy(update={"seed": seed})) for seed in range(40)]
+    for layout in layouts:
+        assert layout.board.area == pytest.approx(30.0)
+        total = sum(sum(seen(part).values()) for part in surfaces(layout, of.stackup()).values())
+        assert total == pytest.approx(30.0, rel=1e-6)
+    # Each board is as likely as the others: one of six is in none of 40 with 6 (5/6)^40 = 0.4 %; the seeds are fixed.
+    assert {pad.board for layout in layouts for pad in layout.pads} == set(range(1, 7))
+
+
+@pytest.mark.parametrize("panel", [None, PANEL])
+def test_a_region_beside_the_board_is_refused(panel: dict[str, Any] | None) -> None:
+    region = {"centre_mm": [60.0, 0.0], "size_mm": [5.0, 5.0]}
+    with pytest.raises(SceneError, match="is outside the board, which spans"):
+        artwork(board(panel, region=region))
+
+
 def test_what_cannot_be_is_refused() -> None:
     with pytest.raises(SceneError, match=r"10.000 x 8.000 mm overlap; make it larger"):
         artwork(board(PANEL | {"pitch_mm": [9.0, 10.0]}))
