@@ -97,10 +97,9 @@ def in_space(stack: Stack, projector: int) -> tuple[Finding, Miss | None]:
     verdict = graded(miss.middle_px, *EPIPOLAR_PX)
     said = f"points from the {miss.axis}s miss their {miss.other} by {miss.middle_px:.2f} projector px (median)"
     shift = _whole_shift(miss, stack)
-    if shift:
-        verdict, said = "wrong", f"{said}: {shift}"
-    elif verdict != "ok":
-        said += ": the calibration is not this rig's, or an axis is mirrored"
+    verdict = "wrong" if shift else verdict
+    if verdict != "ok":
+        said += f": the calibration is not this rig's, or {shift or 'an axis is mirrored'}"
     return Finding(name, verdict, said, miss.middle_px), miss
 
 
