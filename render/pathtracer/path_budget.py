@@ -153,8 +153,9 @@ def _paths(
     for label, (allowed, adds) in budgets.items():
         inside = pilot.label == label
         some = inside & (pilot.lit | pilot.counted)
-        shares, without = _shares(pilot.indirect, adds.sum(axis=0), inside & pilot.counted, some)
         variance = (adds * np.nan_to_num(pilot.path_variance)).sum(axis=0)
+        adding = adds.sum(axis=0)
+        shares, without = _shares(pilot.indirect, adding, variance, inside & pilot.counted, some)
         noisy = variance > 0.0
         cost = _Cost(variance[noisy], without[noisy], have[noisy], most_paths, errors)
         paths = np.maximum(paths, np.minimum(cost.scale(share * allowed) * shares, most_paths))
@@ -221,18 +222,18 @@ def smooth_indirect(light: Floats, label: NDArray[np.uint16]) -> tuple[Floats, F
 
 
 def _shares(
-    light: tuple[Floats, Floats], adds: Floats, counted: Mask, some: Mask
+    light: tuple[Floats, Floats], adds: Floats, variance: Floats, counted: Mask, some: Mask
 ) -> tuple[Floats, Floats]:
     """(row, col) what a label's paths are in proportion to, by either light; 0 where light adds nothing to its noise.
 
-    `adds` is how much a pixel's variance adds to that of the label. `some` pixels get some paths in any case: those that
+    `adds` is how much a pixel's variance adds to that of the label, `variance` how much the one it showed does. `some` pixels get some paths in any case: those that
     seem too dark to be measured may not be.
     """
     found = [np.sqrt(kind * adds) for kind in light]
     mean = float(found[0][counted].mean())
     if mean <= 0.0:
-        # A label without any indirect light has no need.
-        return counted.astype(np.float64), counted.astype(np.float64)
+        # Direct light alone scatters at edges, also at those of neighbours whose blur reaches the label.
+        return np.sqrt(variance), np.sqrt(variance)
     low = FLOOR * mean * np.minimum(np.sqrt(adds / adds[counted].mean()), 1.0)
     low[some] = FLOOR * mean
     shares, without = (np.clip(kind, low, CEILING * mean) for kind in found)

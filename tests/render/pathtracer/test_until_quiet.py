@@ -256,6 +256,18 @@ def test_paths_meet_the_target_with_minimum_work_when_variances_are_known() -> N
     assert PILOT_PLACES % 2 == 0
 
 
+# The few pixels of some labels may miss so small a target.
+@pytest.mark.filterwarnings("ignore:noise of light paths")
+@pytest.mark.parametrize("name", ["step", "bench"])
+def test_direct_light_alone_gets_more_paths_at_edges_only(name: str) -> None:
+    """Behind a lens the noise of neighbours' edges reaches a label; its own even pixels cannot lower it."""
+    scene = scenes.load(name, SMALL | {"camera.resolution": [80, 60], "sampling.depth": 1})
+    light = render.trace(scene, render_noise=0.05)
+    assert light.render_noise is not None
+    # Four paths are the fewest. Edges are a tenth of the pixels here, and few of them need more than some tens.
+    assert light.render_noise.paths < 2 * 4 * light.label.size
+
+
 def test_file_keeps_noise_and_what_was_reached(tmp_path: Path) -> None:
     scene = scenes.load("step", {**SMALL, "patterns.axes": ["column", "row"]})
     light = render.trace(scene, render_noise=2.0)
