@@ -65,7 +65,7 @@ def lifted(deposit_: Deposit, all_: Sequence[Deposit], tree: shapely.STRtree) ->
     for field in (all_[i].field for i in tree.query(_outline(speck), "intersects")):
         assert field is not None
         below = field.height_mm[np.linalg.norm(field.xy_mm - centre, axis=1) <= radius]
-        ground = max(ground, float(below.mean()) if len(below) else 0.0)
+        ground = max(ground, float(below.max(initial=0.0)))
     raised = Heightfield(speck.xy_mm, speck.faces, speck.rims, speck.height_mm + ground)
     return replace(deposit_, speck=raised)
 
