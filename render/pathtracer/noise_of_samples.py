@@ -31,7 +31,6 @@ def phasor_noise(
     fringes: Sequence[FinestFringe],
     samples: int,
     seed: int,
-    few: bool = False,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Standard deviations of the phase and of the modulation of a pass's light `total` (projector, channel, row, col),
     (fringe, projector, row, col)."""
@@ -45,7 +44,7 @@ def phasor_noise(
         band = slice(start, start + BAND)
         pixel = pixels[band]
         one = np.ones_like(pixel)
-        blocks = Blocks(pixel, one, *pass_.counts(pixel, columns, samples, few), 0 * one)
+        blocks = Blocks(pixel, one, *pass_.counts(pixel, columns, samples), 0 * one)
         again = trace_blocks(pass_, columns, blocks, channels, fringes, seed ^ STREAM)
         for p, count in enumerate(channels):
             for f, fringe in enumerate(fringes):

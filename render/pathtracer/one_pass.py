@@ -41,8 +41,6 @@ def trace(
     footprint: float = 1.0,
     progress: Callable[[float], None] | None = None,
     surfaces: Surfaces | None = None,
-    few: bool = False,
-    noise: bool = True,
 ) -> Transport:
     """Trace the scene's light transport once, for all its patterns.
 
@@ -54,7 +52,7 @@ def trace(
 
     The same seed gives the same bits on one machine. `footprint` narrows the pixels about their centres, 0 to points:
     to see what their width costs. `progress` is called every second or so with the share that is done.
-    `surfaces` are the scene's, made before. `few`: of fewer places, for one of many passes. `noise`: measure it.
+    `surfaces` are the scene's, made before.
 
     Raises `RenderError` for impossible `samples`, `depth`, `seed` or `footprint`, and for light beyond float32,
     `TooLargeError` for more pixels and channels than memory holds.
@@ -85,7 +83,6 @@ def trace(
             (samples, depth, footprint),
             seed,
             progress,
-            (few, noise),
         )
 
 
@@ -97,10 +94,8 @@ def _traced(
     paths: tuple[int, int, float],
     seed: int,
     progress: Callable[[float], None] | None,
-    kind: tuple[bool, bool],
 ) -> Transport:
     samples, depth, footprint = paths
-    few, wanted = kind
     pass_ = set_up(scene, surfaces, bases, tiles, depth, footprint, seed)
     width, height = scene.camera.resolution
     channels = [len(b.channels) for b in bases]
@@ -114,7 +109,7 @@ def _traced(
     while bottom < height:
         start = time.perf_counter()
         part = slice(bottom, min(bottom + rows, height))
-        images = pass_.radiance(part, width, samples, seed, few)
+        images = pass_.radiance(part, width, samples, seed)
         ambient[part] = next(images)
         for p, count in enumerate(channels):
             for c in range(count):
@@ -128,8 +123,8 @@ def _traced(
     label = label_map(pass_.scene, pass_.camera, surfaces.ids, (height, width))
     fringes = finest_fringes(scene.patterns, bases)
     noise, amplitude = (
-        phasor_noise(pass_, total, label, channels, fringes, samples, seed, few)
-        if fringes and wanted
+        phasor_noise(pass_, total, label, channels, fringes, samples, seed)
+        if fringes
         else (None, None)
     )
     return Transport(

@@ -66,17 +66,14 @@ class Pass:
     guide: Guide
 
     def radiance(
-        self, rows: slice, width: int, samples: int, seed: int, few: bool = False
+        self, rows: slice, width: int, samples: int, seed: int
     ) -> Iterator[NDArray[np.float32]]:
-        """Mean radiance of rows: ambient, then direct and total of each channel, projector by projector.
-
-        `few`: of fewer places, for one of many passes.
-        """
+        """Mean radiance of rows: ambient, then direct and total of each channel, projector by projector."""
         shape = (rows.stop - rows.start, width)
         index = dr.arange(mi.UInt32, shape[0] * width) + dr.opaque(mi.UInt32, rows.start * width)
         row, column = self._pixel(index, width)
         tile = self.guide.tile(row, column)
-        places, paths = self._counts(tile, samples, few)
+        places, paths = self._counts(tile, samples)
         plan = self._plan(row, column, sampling.stream(seed, index), tile, (places, paths))
         return (image.reshape(shape) for image in self._responses(plan, len(index)))
 
@@ -159,32 +156,26 @@ class Pass:
         return (image.numpy() for image in images)
 
     def counts(
-        self, pixel: NDArray[np.uint32], width: int, samples: int, few: bool = False
+        self, pixel: NDArray[np.uint32], width: int, samples: int
     ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
         """Places and paths that `radiance` gives each of these pixels."""
-        tile = self.guide.tile(*self._pixel(mi.UInt32(pixel), width))
-        found = self._counts(tile, samples, few)
-        return tuple((np.zeros(pixel.size, np.uint32) + count.numpy()) for count in found)
+        places, paths = self._counts(
+            self.guide.tile(*self._pixel(mi.UInt32(pixel), width)), samples
+        )
+        return tuple((np.zeros(pixel.size, np.uint32) + count.numpy()) for count in (places, paths))
 
-    def _counts(self, tile: Any, samples: int, fewer: bool) -> tuple[Any, Any]:
+    def _counts(self, tile: Any, samples: int) -> tuple[Any, Any]:
         """Places and paths of each pixel of a pass of so many samples."""
         most = dr.opaque(mi.UInt32, samples)
+        places = most
+        if not self.lens:
+            few = max(FEWEST_PLACES, samples // FEW_PLACES_OF)
+            # One without its opposite would shift the phase of direct light.
+            few = min(samples, few + few % 2)
+            busy = dr.gather(mi.Bool, self.guide.busy, tile)
+            places = dr.select(busy, most, dr.opaque(mi.UInt32, few))
         share = dr.gather(mi.Float, self.guide.share, tile)
-        paths = dr.maximum(1, mi.UInt32(share * mi.Float(most) + 0.5))
-        if self.lens:
-            return most, paths
-        quiet, rough = max(FEWEST_PLACES, samples // FEW_PLACES_OF), most
-        # One without its opposite would shift the phase of direct light.
-        quiet = min(samples, quiet + quiet % 2)
-        if fewer:
-            # Paths from one place share what it sees.
-            rough = dr.minimum(most, dr.maximum(quiet, (paths + 7) // 8 * 2))
-            quiet = min(samples, FEWEST_PLACES)
-        busy = dr.gather(mi.Bool, self.guide.busy, tile)
-        places = dr.select(busy, rough, dr.opaque(mi.UInt32, quiet))
-        if fewer:
-            places = dr.minimum(most, dr.maximum(places, (paths + 7) // 8 * 2))
-        return places, paths
+        return places, dr.maximum(1, mi.UInt32(share * mi.Float(most) + 0.5))
 
     @property
     def lens(self) -> bool:

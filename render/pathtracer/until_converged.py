@@ -45,8 +45,6 @@ STAGE = 8
 HALVINGS = hadamard(STAGE)[1:].astype(np.float64)
 # Passes from which the bar's forecast is fair.
 FORECAST = 4
-# Passes whose noise is measured pixel by pixel; that of their mean falls with the root of the samples.
-MEASURED = 2
 # The share of pixels that must stay below the error, and the risk that they do not although the bound says so.
 SHARE = 0.95
 RISK = 0.05
@@ -164,8 +162,7 @@ def trace(
     def one(number: int, paths: int, shown: Callable[[float], None] | None) -> Transport:
         # Drawn at random, not counted up: neighbouring seeds of a hash or a generator need not be independent.
         own = np.random.SeedSequence(int(seed), spawn_key=(number,)).generate_state(1, np.uint32)
-        measured = number < MEASURED
-        return one_pass(scene, int(own[0]), paths, depth, footprint, shown, found, True, measured)
+        return one_pass(scene, int(own[0]), paths, depth, footprint, shown, found)
 
     width, height = scene.camera.resolution
     bases = [basis(scene.patterns, p, p.resolution) for p in scene.projectors]
@@ -262,10 +259,8 @@ def _averaged(mean: Transport, new: Transport, share: float) -> Transport:
         (mean.amplitude_noise, new.amplitude_noise),
     ):
         assert noise is not None  # there is a fringe to watch
-        if other is None:
-            np.multiply(noise, np.sqrt(1.0 - share), out=noise)
-        else:
-            np.hypot((1.0 - share) * noise, share * other, out=noise)
+        assert other is not None
+        np.hypot((1.0 - share) * noise, share * other, out=noise)
     return mean
 
 

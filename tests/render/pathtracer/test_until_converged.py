@@ -9,7 +9,7 @@ from scipy import stats
 
 import render
 import scenes
-from render.pathtracer import one_pass, until_converged
+from render.pathtracer import until_converged
 from scenes.acquisition.fringe_fit import STRAY_FRACTION
 from scenes.support.errors import FringebenchWarning, RenderError, SceneError
 from tests.render import rigs
@@ -71,7 +71,7 @@ def test_light_is_the_mean_of_independent_passes() -> None:
         for i in range(until_converged.STAGE)
     ]
     assert len(set(seeds)) == until_converged.STAGE
-    passes = [one_pass.trace(scene, seed=seed, samples=16, few=True) for seed in seeds]
+    passes = [render.trace(scene, seed=seed, samples=16) for seed in seeds]
     for name in ("total", "direct", "ambient"):
         mean = np.mean([getattr(p, name) for p in passes], axis=0, dtype=np.float64)
         # Eight roundings of float32 relative to the value.
@@ -92,7 +92,7 @@ def test_stated_noise_is_the_scatter_between_seeds() -> None:
     shows = lit(mean)
     stated = np.mean(np.square(noise)[:, shows])
     seen = np.var(np.angle(z * mean.conj()), axis=0, ddof=1)[shows].mean()
-    # Two passes of 16 seeds, measured in one pixel of eight: thousands of squares, known to a few per cent even with long tails.
+    # Eight passes of 16 seeds, measured in one pixel of eight: thousands of squares, known to a few per cent even with long tails.
     assert np.sqrt(stated / seen) == pytest.approx(1.0, abs=0.15)
 
 
