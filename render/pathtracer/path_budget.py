@@ -226,14 +226,15 @@ def _shares(
 ) -> tuple[Floats, Floats]:
     """(row, col) what a label's paths are in proportion to, by either light; 0 where light adds nothing to its noise.
 
-    `adds` is how much a pixel's variance adds to that of the label, `variance` how much the one it showed does. `some` pixels get some paths in any case: those that
-    seem too dark to be measured may not be.
+    `adds` is what a unit of a pixel's variance adds to that of the label, `variance` what the pixel's measured variance adds.
+    `some` pixels get some paths in any case: those that seem too dark to be measured may not be.
     """
     found = [np.sqrt(kind * adds) for kind in light]
     mean = float(found[0][counted].mean())
     if mean <= 0.0:
         # Direct light alone scatters at edges, also at those of neighbours whose blur reaches the label.
-        return np.sqrt(variance), np.sqrt(variance)
+        scatter = np.sqrt(variance)
+        return scatter, scatter
     low = FLOOR * mean * np.minimum(np.sqrt(adds / adds[counted].mean()), 1.0)
     low[some] = FLOOR * mean
     shares, without = (np.clip(kind, low, CEILING * mean) for kind in found)

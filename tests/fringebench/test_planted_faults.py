@@ -8,7 +8,7 @@ import pytest
 
 from tests.fringebench.planted_faults import FAULTS, PATTERNS, Shot, judged, planted
 
-# All take five minutes of a processor: continuous integration runs a sample, of which each fault has six.
+# All cases take five minutes of a processor, so continuous integration runs six of each fault, the nightly suite all.
 CASES = list(product(FAULTS, PATTERNS, (True, False)))
 SAMPLE = {
     case

@@ -25,11 +25,8 @@ SMALLEST_MM2 = 1e-4
 def damaged(board: BoardBase, layout: Layout, stackup: Stackup) -> Layout:
     """The artwork with its mask where it was printed, and with scratches and residue near its pads."""
     defects = board.defects
-    if (
-        not defects.scratch.probability
-        + defects.residue.probability
-        + np.any(stackup.mask_shift_mm)
-    ):
+    drawn = defects.scratch.probability > 0.0 or defects.residue.probability > 0.0
+    if not (drawn or np.any(stackup.mask_shift_mm)):
         return layout
     openings, covered = _shifted(layout, stackup.mask_shift_mm)
     drilled = shapely.union_all([hole.outline for hole in layout.holes if not hole.tented])
