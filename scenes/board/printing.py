@@ -66,14 +66,13 @@ def _printed(board_json: str, stamps: tuple[tuple[str, int, int], ...]) -> Print
         draw(paste.stretch, rng),
     )
     made = [_deposit(board, layout, pad, registration) for pad in layout.pads]
-    tree = shapely.STRtree([deposit.footprint for deposit in made])
-    deposits = {deposit.pad.id: lifted(deposit, made, tree) for deposit in made}
+    bridges = drawn_bridges(board, made)
     return Print(
         layout,
         stackup,
         registration.stencil_mm,
-        tuple(deposits.values()),
-        tuple(drawn_bridges(board, deposits)),
+        tuple(lifted(made, bridges)),
+        tuple(bridges),
         board.warped_plane(),
     )
 

@@ -1,6 +1,6 @@
 """Paste and dirt next to the deposits: smears, bridges and foreign bodies."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -56,24 +56,28 @@ def foreign_body(defects: PadDefects, centre: Floats, half: Floats) -> Heightfie
     return Heightfield(mesh.xy_mm, mesh.faces, mesh.rims, height)
 
 
-def lifted(deposit_: Deposit, all_: Sequence[Deposit], tree: shapely.STRtree) -> Deposit:
-    """The deposit with its speck raised onto the highest paste below it."""
-    speck, ground = deposit_.speck, 0.0
-    if speck is None:
-        return deposit_
+def lifted(deposits: Iterable[Deposit], bridges: Iterable[PasteBridge]) -> list[Deposit]:
+    """The deposits with their specks raised onto the highest paste below them, smears and bridges included."""
+    deposits = list(deposits)
+    paste = [f for d in deposits for f in (d.field, d.tail) if f]
+    paste += [bridge.field for bridge in bridges if bridge.field]
+    tree = shapely.STRtree([_outline(field) for field in paste])
+    return [replace(d, speck=_raised(d.speck, paste, tree)) if d.speck else d for d in deposits]
+
+
+def _raised(speck: Heightfield, paste: Sequence[Heightfield], tree: shapely.STRtree) -> Heightfield:
     centre, radius = speck.xy_mm.mean(axis=0), np.sqrt(speck.area_mm2 / np.pi)
-    for field in (all_[i].field for i in tree.query(_outline(speck), "intersects")):
-        assert field is not None
+    ground = 0.0
+    for field in (paste[i] for i in tree.query(_outline(speck), "intersects")):
         below = field.height_mm[np.linalg.norm(field.xy_mm - centre, axis=1) <= radius]
         ground = max(ground, float(below.max(initial=0.0)))
-    raised = Heightfield(speck.xy_mm, speck.faces, speck.rims, speck.height_mm + ground)
-    return replace(deposit_, speck=raised)
+    return replace(speck, height_mm=speck.height_mm + ground)
 
 
-def drawn_bridges(board: Board, deposits: Mapping[int, Deposit]) -> list[PasteBridge]:
+def drawn_bridges(board: Board, deposits: Iterable[Deposit]) -> list[PasteBridge]:
     """Deposits that touch, and the bridges drawn between neighbours."""
     settings = board.defects.bridge
-    there = [d for d in deposits.values() if d.field is not None]
+    there = [d for d in deposits if d.field is not None]
     if len(there) < 2:
         return []
     footprints = np.array([d.footprint for d in there])
