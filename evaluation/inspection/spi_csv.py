@@ -3,6 +3,7 @@
 import csv
 import io
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from evaluation.inspection.pad_limits import PadLimits, judge
@@ -21,6 +22,8 @@ OWN_COLUMNS = ("BridgedTo", "Coverage(%)", "Reference(mm)", "Bare", "NumberOnBoa
 COLUMNS = (*MACHINE_COLUMNS, *OWN_COLUMNS)
 # Needed to read a file; the others may be absent.
 NEEDED = ("PadID", "Volume(um3)", "Area(um2)", "Height(um)", "OffsetX(mm)", "OffsetY(mm)")
+# What machines call the number of a board in its panel.
+BOARD_COLUMNS = ("Board", "BoardID", "FigureID", "ArrayID", "Array")
 
 
 def write_spi_csv(
@@ -29,6 +32,7 @@ def write_spi_csv(
     path: str | Path,
     limits: PadLimits | None = None,
     panel: str = "",
+    restart_pad_ids: bool = False,
 ) -> None:
     """Write pads, measured or true, one row each.
 
@@ -44,6 +48,8 @@ def write_spi_csv(
         What is accepted, for ``Result`` and ``Defect``; by default `PadLimits()`.
     panel
         Text of ``PanelID``.
+    restart_pad_ids
+        Whether ``PadID`` restarts on each board of a panel, as on some machines, whose key is ``Board`` and ``PadID``.
 
     Raises
     ------
@@ -55,8 +61,8 @@ def write_spi_csv(
     Notes
     -----
     Percentages are of the aperture's area, of aperture area x stencil thickness, and of the aperture's size. ``Height``
-    is volume over area, and ``Shape`` is the peak's height above it. A figure that was not measured is empty. ``PadID`` is
-    unique in a panel; a pad's number on its ``Board`` is ``NumberOnBoard``.
+    is volume over area, and ``Shape`` is the peak's height above it. A figure that was not measured is empty. ``PadID``,
+    unless restarted, and ``BridgedTo`` are unique in a panel; a pad's number on its ``Board`` is ``NumberOnBoard``.
     """
     nominal = {pad.pad: pad for pad in board.pads}
     text = io.StringIO()
@@ -65,12 +71,13 @@ def write_spi_csv(
     for pad in pads:
         if pad.pad not in nominal:
             raise ScoreError(f"pad {pad.pad} is not on this board: use the board's own truth")
-        writer.writerow(_row(pad, nominal[pad.pad], limits or PadLimits(), panel))
+        row = _row(pad, nominal[pad.pad], limits or PadLimits(), panel)
+        writer.writerow(row | ({"PadID": row["NumberOnBoard"]} if restart_pad_ids else {}))
     with replacing(path) as staged:
         staged.write_text(text.getvalue(), "utf-8")
 
 
-def read_spi_csv(path: str | Path) -> tuple[PadMeasure, ...]:
+def read_spi_csv(path: str | Path, board: BoardTruth | None = None) -> tuple[PadMeasure, ...]:
     """Read pads from a machine's CSV file.
 
     Parameters
@@ -78,6 +85,9 @@ def read_spi_csv(path: str | Path) -> tuple[PadMeasure, ...]:
     path
         A file of `write_spi_csv`, or one with at least its ``PadID``, ``Volume(um3)``, ``Area(um2)``, ``Height(um)``,
         ``OffsetX(mm)`` and ``OffsetY(mm)``.
+    board
+        The board or panel that was measured, for files whose ``PadID`` restarts on each board: the key is then ``PadID`` with
+        ``Board`` (or ``BoardID``, ``FigureID``, ``ArrayID``, ``Array``).
 
     Returns
     -------
@@ -87,7 +97,8 @@ def read_spi_csv(path: str | Path) -> tuple[PadMeasure, ...]:
     Raises
     ------
     FileError
-        For a file that cannot be read, lacks a column, or has a value that is not a number.
+        For a file that cannot be read, lacks a column, has a value that is not a number, or rows that may be of more
+        than one pad.
     """
     try:
         rows = list(csv.DictReader(io.StringIO(Path(path).read_text("utf-8-sig"))))
@@ -98,7 +109,45 @@ def read_spi_csv(path: str | Path) -> tuple[PadMeasure, ...]:
     lacking = [name for name in NEEDED if name not in rows[0]]
     if lacking:
         raise FileError(f"'{path}' lacks the columns {', '.join(lacking)}")
-    return tuple(_measure(row, f"'{path}', line {i}") for i, row in enumerate(rows, start=2))
+    pads = [_measure(row, f"'{path}', line {i}") for i, row in enumerate(rows, start=2)]
+    boards = [next((row[k].strip() for k in BOARD_COLUMNS if row.get(k)), "") for row in rows]
+    ids = _ids(list(zip(boards, (pad.pad for pad in pads), strict=True)), board)
+    if len({row.get("PanelID") for row in rows}) > 1:
+        ids = "it has rows of several panels; give one file for each PanelID"
+    if isinstance(ids, str):
+        raise FileError(f"'{path}' does not say which pads its rows are of: {ids}")
+    return tuple(replace(pad, pad=number) for pad, number in zip(pads, ids, strict=True))
+
+
+def _ids(keys: list[tuple[str, int]], truth: BoardTruth | None) -> list[int] | str:
+    """Ids in the panel of rows with these boards and `PadID`, or what is missing to tell them."""
+    first: dict[tuple[str, int], int] = {}
+    for line, key in enumerate(keys, start=2):
+        if first.setdefault(key, line) < line:
+            return (
+                f"lines {first[key]} and {line} both have PadID {key[1]}; where it restarts on each board of a panel, "
+                "a column Board must tell them apart"
+            )
+    ids = [number for _, number in keys]
+    if truth is None:
+        again = len(set(ids)) < len(ids)
+        return "PadID restarts on each board; give the panel's truth as well" if again else ids
+    boards = {str(pad.board) for pad in truth.pads}
+    if len(boards) == 1:  # However it is called.
+        keys = [(board, number) for board in boards for number in ids]
+    known = {(str(pad.board), pad.pad) for pad in truth.pads}
+    restarted = {(str(pad.board), pad.number or pad.pad): pad.pad for pad in truth.pads}
+    if not known.issuperset(keys) and restarted.keys() >= set(keys):
+        ids = [restarted[key] for key in keys]
+    elif not known.issuperset(keys):
+        board, number = next(key for key in keys if key not in known)
+        return (
+            f"PadID {number} of board '{board}' is neither an id in the panel nor, in all rows, a number on its board; "
+            "give the truth of the panel that was measured"
+        )
+    if len(set(ids)) < len(ids):
+        return "it has several boards and the truth has one; give the panel's truth"
+    return ids
 
 
 def _row(

@@ -33,6 +33,7 @@ def pads(
     output: Path | None = None,
     truth: Path | None = None,
     board: Annotated[str | None, typer.Option(metavar="SCENE")] = None,
+    restart_pad_ids: bool = False,
     threshold_um: Annotated[float, typer.Option(min=0.0)] = 40.0,
     budget: bool = False,
     gauge: bool = False,
@@ -51,6 +52,7 @@ def pads(
     output: Measured pads as CSV, in the columns of SPI machines.
     truth: True pads as CSV, in the same columns.
     board: For frames of a real board: the scene whose board has its artwork.
+    restart_pad_ids: PadID restarts on each board of a panel, as on some machines.
     threshold_um: Height above the pad from which paste counts, µm.
     budget: Error budget: what metal, grains, noise and the threshold contribute.
     gauge: Gauge study: repeats, sensors and places.
@@ -66,7 +68,7 @@ def pads(
     steps = progress_steps(progress)
     if board is not None:
         artwork = scenes.load(board, overrides)
-        _capture(source, artwork, output, threshold_um, as_json)
+        _capture(source, artwork, output, restart_pad_ids, threshold_um, as_json)
         return
     from evaluation.scoring.error_budget import RENDER_NOISE
     from fringebench.experiments.pad_inspection import DEVICES, inspect, inspect_stack, pad_budget
@@ -81,10 +83,9 @@ def pads(
     else:
         loaded = scenes.load(source, overrides)
         found = inspect(loaded, seed, threshold_um * 1e-3, steps=steps)
-    if output is not None:
-        write_spi_csv(found.measured, found.board, output, panel=loaded.name)
-    if truth is not None:
-        write_spi_csv(found.board.pads, found.board, truth, panel=loaded.name)
+    for pads_, path in ((found.measured, output), (found.board.pads, truth)):
+        if path is not None:
+            write_spi_csv(pads_, found.board, path, None, loaded.name, restart_pad_ids)
     answer: dict[str, Any] = {
         "threshold_um": threshold_um,
         "threshold_bias_percent": found.threshold_bias_percent,
@@ -139,7 +140,12 @@ def _check_use(frames: bool, board: str | None, truth: Path | None, traces: bool
 
 
 def _capture(
-    source: str, artwork: "Scene", output: Path | None, threshold_um: float, as_json: bool
+    source: str,
+    artwork: "Scene",
+    output: Path | None,
+    restart: bool,
+    threshold_um: float,
+    as_json: bool,
 ) -> None:
     """Measure real frames: verdicts at the usual limits, without a truth."""
     import scenes
@@ -149,7 +155,7 @@ def _capture(
 
     nominal, measured = measure_capture(scenes.Stack.read(source), artwork, threshold_um * 1e-3)
     if output is not None:
-        write_spi_csv(measured, nominal, output, panel=Path(source).stem)
+        write_spi_csv(measured, nominal, output, None, Path(source).stem, restart)
     counts = Counter(
         verdict
         for pad, true in zip(measured, nominal.pads, strict=True)

@@ -14,6 +14,8 @@ from evaluation.inspection.spi_csv import MACHINE_COLUMNS, read_spi_csv, write_s
 from scenes.labels.pad_truth import BoardTruth
 from scenes.support.errors import FileError, ScoreError
 
+NEEDED = "PadID,Volume(um3),Area(um2),Height(um),OffsetX(mm),OffsetY(mm)"
+
 
 @pytest.fixture(scope="module")
 def board() -> BoardTruth:
@@ -90,7 +92,7 @@ def test_columns_are_those_of_machines_in_their_units(board: BoardTruth, tmp_pat
 
 def test_csv_of_a_machine_needs_only_pad_and_figures(board: BoardTruth, tmp_path: Path) -> None:
     path = tmp_path / "machine.csv"
-    header = "PadID,Volume(um3),Area(um2),Height(um),OffsetX(mm),OffsetY(mm)"
+    header = NEEDED
     rows = [f"{pad.pad},1e7,1e5,100,0.01,-0.01" for pad in board.pads]
     path.write_text("\ufeff" + "\n".join([header, *rows]) + "\n", "utf-8")
     first = read_spi_csv(path)[0]
@@ -123,6 +125,90 @@ def test_other_files_are_refused(tmp_path: Path, text: str, message: str) -> Non
         read_spi_csv(path)
     with pytest.raises(FileError, match="cannot be read"):
         read_spi_csv(tmp_path / "nowhere.csv")
+
+
+def machine_csv(path: Path, keys: list[tuple[str, ...]], columns: str = "Board") -> Path:
+    """A file of equal deposits, with these columns before `NEEDED`."""
+    rows = [f"{','.join(key)},1e7,1e5,100,0.01,-0.01" for key in keys]
+    path.write_text("\n".join([f"{columns},{NEEDED}", *rows]) + "\n", "utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def panel() -> BoardTruth:
+    """Two boards of the same pads, each with its own print and defects."""
+    missing = {"missing": {"probability": 0.3}}
+    return scenes.board_truth(
+        scenes.load("spi", {"board.defects": missing, "board.panel": {"columns": 2}})
+    )
+
+
+def test_ids_that_restart_give_the_same_confusion(panel: BoardTruth, tmp_path: Path) -> None:
+    path = tmp_path / "truth.csv"
+    for restart in (False, True):
+        write_spi_csv(panel.pads, panel, path, restart_pad_ids=restart)
+        again = read_spi_csv(path, panel)
+        assert [pad.pad for pad in again] == [pad.pad for pad in panel.pads]
+        table = confusion(again, panel)
+        assert table == confusion(measured_exactly(panel), panel)
+        assert table.gates["missing"].caught > 2
+    with path.open(newline="") as file:
+        ids = [(row["Board"], row["PadID"]) for row in csv.DictReader(file)]
+    n = len(panel.pads) // 2
+    assert ids == [(b, str(k)) for b in "12" for k in range(1, n + 1)]
+    with pytest.raises(FileError, match="PadID restarts on each board; give the panel's truth"):
+        read_spi_csv(path)
+
+
+def measured_exactly(board: BoardTruth) -> list[PadMeasure]:
+    return [
+        PadMeasure(
+            *(p.pad, p.name, 1.0, None, p.volume_mm3, p.area_mm2, p.mean_height_mm),
+            *(p.peak_height_mm, p.offset_x_mm, p.offset_y_mm, p.bridged_to),
+        )
+        for p in board.pads
+    ]
+
+
+@pytest.mark.parametrize("column", ["BoardID", "FigureID", "ArrayID"])
+def test_rows_of_one_board_of_a_panel_are_that_boards(
+    panel: BoardTruth, tmp_path: Path, column: str
+) -> None:
+    path = machine_csv(tmp_path / "m.csv", [("2", "3"), ("2", "1")], column)
+    n = len(panel.pads) // 2
+    assert [pad.pad for pad in read_spi_csv(path, panel)] == [n + 3, n + 1]
+    assert [pad.pad for pad in read_spi_csv(path)] == [3, 1]
+
+
+def test_a_board_measured_alone_may_have_any_number(board: BoardTruth, tmp_path: Path) -> None:
+    path = machine_csv(tmp_path / "m.csv", [("A7", "2"), ("A7", "1")])
+    assert [pad.pad for pad in read_spi_csv(path, board)] == [2, 1]
+
+
+@pytest.mark.parametrize(
+    ("columns", "keys", "message"),
+    [
+        ("Board", [("1", "4"), ("2", "4"), ("1", "4")], "lines 2 and 4 both have PadID 4"),
+        ("Type", [("pad", "4"), ("pad", "4")], "a column Board must tell them apart"),
+        # 1 is no id of the second board, and the last is no number on it.
+        ("Board", [("2", "1"), ("2", "ID")], "PadID 1 of board '2' is neither"),
+        ("Board", [("3", "1")], "PadID 1 of board '3' is neither"),
+        ("PanelID", [("A", "1"), ("B", "2")], "rows of several panels"),
+    ],
+)
+def test_rows_that_may_be_of_more_than_one_pad_are_refused(
+    panel: BoardTruth, tmp_path: Path, columns: str, keys: list[tuple[str, str]], message: str
+) -> None:
+    last = str(len(panel.pads))
+    path = machine_csv(tmp_path / "m.csv", [(b, p.replace("ID", last)) for b, p in keys], columns)
+    with pytest.raises(FileError, match=message):
+        read_spi_csv(path, panel)
+
+
+def test_several_boards_are_not_one(board: BoardTruth, tmp_path: Path) -> None:
+    path = machine_csv(tmp_path / "m.csv", [("1", "1"), ("2", "1")])
+    with pytest.raises(FileError, match="several boards and the truth has one"):
+        read_spi_csv(path, board)
 
 
 def test_pad_of_another_board_is_refused(board: BoardTruth, tmp_path: Path) -> None:
