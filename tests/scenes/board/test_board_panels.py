@@ -1,19 +1,24 @@
 """Panels made of a board: place and number of every copy's pads, areas of gaps and rails, and prints of their own."""
 
 import csv
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import shapely
+import shapely.affinity
 from pydantic import ValidationError
 
 import render
 import scenes
 from evaluation.inspection.spi_csv import write_spi_csv
 from scenes.board.board import ParametricBoard
+from scenes.board.paste import Paste
 from scenes.board.printing import artwork, printed
 from scenes.board.surface import surfaces
+from scenes.board.transfer import Transfer
 from scenes.labels.pad_truth import BoardTruth, PadTruth, truth_of
 from scenes.support.errors import SceneError
 from tests.scenes.board.test_fiducials import gerber_board
@@ -85,6 +90,70 @@ def test_gaps_are_as_wide_as_asked(settings: dict[str, Any], gaps: float) -> Non
     of = board(PANEL | {"tooling_mm": 0.0} | settings)
     holes = surfaces(artwork(of), of.stackup()).get("hole")
     assert (sum(seen(holes).values()) if holes else 0.0) == pytest.approx(gaps, rel=1e-6)
+
+
+# Both corners of a square frame have a hole or fiducial in common, so that of "x" and of "xy" there are as many.
+@pytest.mark.parametrize(
+    ("rails", "size", "away"), [("y", (48.0, 18.0), (2.5, 7.5)), ("xy", (48.0, 32.0), (7.5, 2.5))]
+)
+def test_rails_are_on_the_sides_asked_for(
+    rails: str, size: tuple[float, float], away: tuple[float, float]
+) -> None:
+    of = board(PANEL | {"rails": rails, "tab_mm": 0.0})
+    layout = artwork(of)
+    x0, y0, x1, y1 = layout.box
+    assert (x1 - x0, y1 - y0) == pytest.approx(size)
+    parts = surfaces(layout, of.stackup())
+    solid = 6 * SIZE[0] * SIZE[1] + 2 * 5.0 * (18.0 if rails == "y" else 48.0 + 22.0)
+    gaps = size[0] * size[1] - solid
+    assert seen(parts["hole"]) == pytest.approx({-1.6: gaps + 4 * DISK * 3.0**2}, rel=1e-4)
+    marks = [(m.centroid.x - x0, m.centroid.y - y0) for m in layout.fiducials]
+    dx, dy = away
+    there = [(dx, dy), (size[0] - dx, dy), (dx, size[1] - dy)]
+    assert np.allclose(marks, there)
+
+
+def turned(turn_deg: int, xy: tuple[float, float]) -> complex:
+    return complex(*xy) * 1j ** (turn_deg // 90)
+
+
+@pytest.mark.parametrize("turn_deg", [90, 180, 270])
+def test_turned_copies_are_the_board_turned(tmp_path: Path, turn_deg: int) -> None:
+    """Pads, copper, mask, fiducials and what is printed, about the board's own middle."""
+    alone = gerber_board(tmp_path, "%TA.AperFunction,FiducialPad,Local*%\n")
+    alone = alone.model_copy(update={"region": None, "paste": Paste(transfer=Transfer(spread=0.0))})
+    tree = alone.model_dump() | {"panel": {"columns": 2, "turns_deg": (0, turn_deg)}}
+    of = type(alone).model_validate(tree)
+    one, both = artwork(alone), artwork(of)
+    # 12 x 8 mm about the origin, and where a quarter turn makes them 8 x 12 mm still 14 mm apart.
+    upright = turn_deg == 180
+    assert both.box == pytest.approx((-6, -4, 20, 4) if upright else (-6, -6, 18, 6))
+    assert both.board.area == pytest.approx((26.0 * 8.0) if upright else (24.0 * 12.0))
+
+    def places(points: Iterable[tuple[float, float]]) -> list[complex]:
+        return [turned(turn_deg, p) + 14.0 for p in points]
+
+    second = [pad for pad in both.pads if pad.board == 2]
+    centres = [complex(*pad.centre_mm) for pad in second]
+    assert np.allclose(centres, places(pad.centre_mm for pad in one.pads))
+    for pad, first in zip(second, one.pads, strict=True):
+        spun = shapely.affinity.rotate(first.outline, turn_deg, origin=(0, 0))
+        assert pad.outline.symmetric_difference(
+            shapely.affinity.translate(spun, 14.0)
+        ).area == pytest.approx(0.0, abs=1e-9)
+    marks = [[m.centroid.coords[0] for m in layout.fiducials] for layout in (one, both)]
+    assert len(marks[0]) > 0
+    assert np.allclose([complex(*m) for m in marks[1][len(marks[0]) :]], places(marks[0]))
+    for layer in ("copper", "openings"):
+        a, b = getattr(one, layer), getattr(both, layer)
+        assert b.area == pytest.approx(2 * a.area)
+        spun = shapely.affinity.translate(shapely.affinity.rotate(a, turn_deg, origin=(0, 0)), 14.0)
+        assert (spun - b).area == pytest.approx(0.0, abs=1e-9)
+    truth = truth_of(printed(of))
+    printed_on = of_board(truth, 1), of_board(truth, 2)
+    for a_, b_ in zip(*printed_on, strict=True):
+        assert b_.volume_mm3 == pytest.approx(a_.volume_mm3, rel=1e-9)
+        assert b_.size_mm == pytest.approx(a_.size_mm if upright else a_.size_mm[::-1])
 
 
 def test_a_copy_is_a_print_of_its_own_and_the_first_is_as_without_a_panel() -> None:
