@@ -108,5 +108,6 @@ def through_lens(transport: Transport) -> Transport:
         ambient=total.ambient,
         noise_rad=None,
         amplitude_noise=None,
+        noise_correlation=None,
         scene=scene.model_copy(update={"sensor": without_blur(scene.sensor), "camera": camera}),
     )

@@ -59,6 +59,12 @@ def finest_fringes(patterns: Patterns, bases: Sequence[Basis]) -> tuple[FinestFr
     return tuple(found)
 
 
+def direction(phasor: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Phasors of length 1; 1 where there is none."""
+    size = np.abs(phasor)
+    return np.divide(phasor, size, out=np.ones_like(phasor), where=size > 0.0)
+
+
 def measuring_axis(scene: Scene, axes: Sequence[Axis], projector: int = 0) -> int:
     """Number of the axis that height moves more, in projector px per mm at the image's centre: decoding measures by it."""
     camera, light = scene.camera.projection(), scene.projectors[projector].projection()

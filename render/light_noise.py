@@ -5,7 +5,7 @@ No real camera has the first; a simulation is good enough once it is well below 
 Behind a lens a phasor adds up those of neighbours, noise and all. Pixels are independent, so variances add up with the
 squares of the kernel's weights. A phasor has noise along itself and across it; only the latter turns it, but where a
 neighbour's phase differs, its noise along becomes noise across. As a complex number of angle phi, noise d has
-``E|d|^2 = along + across`` and ``E d^2 = (along - across) exp(2 i phi)``; both add up.
+``E|d|^2 = along + across`` and ``E d^2 = (along - across + 2 i both) exp(2 i phi)``, `both` their covariance; these add up.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from render.blur.point_spread import blurred, spread_kernel
 from render.chip_image import Image
 from render.exposure_time import exposure_times_ms
-from render.fringe_phasor import ANY_PHASE, FinestFringe, finest_fringes, measuring_axis
+from render.fringe_phasor import ANY_PHASE, FinestFringe, direction, finest_fringes, measuring_axis
 from render.transport import Transport
 from scenes.acquisition.fringe_fit import STRAY_FRACTION
 
@@ -173,10 +173,14 @@ def on_chip(transport: Transport) -> NDArray[np.float32]:
     for f, fringe in enumerate(finest_fringes(transport.scene.patterns, transport.bases)):
         for p, basis in enumerate(transport.bases):
             cosine, sine = fringe.phasor(transport.total[p, : len(basis.channels)], p)
-            across = along = np.nan_to_num(transport.noise_rad[f, p] * np.hypot(cosine, sine)) ** 2
+            across = along = np.nan_to_num(transport.noise_rad[f, p] * np.hypot(cosine, sine))
             if transport.amplitude_noise is not None:
-                along = np.nan_to_num(transport.amplitude_noise[f, p].astype(np.float64)) ** 2
-            result[f, p] = np.sqrt(phase_variance(cosine + 1j * sine, across, along, kernel))
+                along = np.nan_to_num(transport.amplitude_noise[f, p].astype(np.float64))
+            both = np.zeros_like(along)
+            if transport.noise_correlation is not None:
+                both = transport.noise_correlation[f, p] * along * across
+            phasor = cosine + 1j * sine
+            result[f, p] = np.sqrt(phase_variance(phasor, across**2, along**2, both, kernel))
     return result
 
 
@@ -225,14 +229,16 @@ def through(phasor: Complex, kernel: Floats) -> Complex:
     return np.asarray(real + 1j * imaginary, np.complex128)
 
 
-def phase_variance(phasor: Complex, across: Floats, along: Floats, kernel: Floats) -> Floats:
-    """Variance of the phase behind the lens, rad^2 (row, col), of phasors with these variances before it."""
+def phase_variance(
+    phasor: Complex, across: Floats, along: Floats, both: Floats, kernel: Floats
+) -> Floats:
+    """Variance of the phase behind the lens, rad^2 (row, col), of phasors with these variances and covariance before it."""
     chip = through(phasor, kernel)
-    own = (along - across) * _direction(phasor) ** 2
-    both, real, imaginary = _squared(np.stack([along + across, own.real, own.imag]), kernel)
+    own = (along - across + 2j * both) * direction(phasor) ** 2
+    whole, real, imaginary = _squared(np.stack([along + across, own.real, own.imag]), kernel)
     with np.errstate(divide="ignore", invalid="ignore"):
-        turned = (_direction(chip).conj() ** 2 * (real + 1j * imaginary)).real
-        variance: Floats = (both - turned) / (2.0 * np.abs(chip) ** 2)
+        turned = (direction(chip).conj() ** 2 * (real + 1j * imaginary)).real
+        variance: Floats = (whole - turned) / (2.0 * np.abs(chip) ** 2)
     return np.clip(variance, 0.0, ANY_PHASE)
 
 
@@ -245,17 +251,12 @@ def weights(phasor: Complex, chip: Complex, counted: Mask, kernel: Floats | None
         own = np.where(counted, 1.0 / np.abs(chip) ** 2, 0.0)
     if kernel is None:
         return np.stack([own, np.zeros_like(own)])
-    turned = own * _direction(chip).conj() ** 2
+    turned = own * direction(chip).conj() ** 2
     both, real, imaginary = _squared(np.stack([own, turned.real, turned.imag]), kernel)
-    lean = (_direction(phasor) ** 2 * (real + 1j * imaginary)).real
+    lean = (direction(phasor) ** 2 * (real + 1j * imaginary)).real
     return np.maximum([both + lean, both - lean], 0.0) / 2.0
 
 
 def _squared(images: Floats, kernel: Floats) -> Floats:
     """Images blurred with the squares of the kernel's weights."""
     return blurred(images.astype(np.float32), kernel**2).astype(np.float64)
-
-
-def _direction(phasor: Complex) -> Complex:
-    size = np.abs(phasor)
-    return np.divide(phasor, size, out=np.ones_like(phasor), where=size > 0.0)

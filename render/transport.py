@@ -21,7 +21,7 @@ from scenes.support.validation_words import in_words
 
 KIND = "transport"
 # Layers of the light paths' noise.
-PHASE, AMPLITUDE = "render_noise_rad", "amplitude_noise"
+PHASE, AMPLITUDE, CORRELATION = "render_noise_rad", "amplitude_noise", "noise_correlation"
 # What the names of the second camera's layers start with.
 SECOND = "second."
 # A ratio that was reached may miss its target by so much, its own uncertainty, and count as met.
@@ -113,6 +113,8 @@ class Transport(Displayed):
     amplitude_noise: NDArray[np.float32] | None = None
     """Of the shape of `noise_rad`: standard deviation of that fringe's modulation from light paths alone, W/(m^2 sr). Behind a lens
     it disturbs the phase of neighbours. None: not known."""
+    noise_correlation: NDArray[np.float32] | None = None
+    """Of the shape of `noise_rad`: correlation of the phase's noise with the modulation's, -1 to 1. None: taken as 0."""
     identity: exr.Identity = field(default_factory=dict)
     """Digests of what was traced, see `scenes.scene_identity`; empty: not known."""
 
@@ -188,6 +190,7 @@ class Transport(Displayed):
                 "ambient": "W/(m^2 sr)",
                 PHASE: "rad",
                 AMPLITUDE: "W/(m^2 sr)",
+                CORRELATION: "1",
             },
             "labels": list(self.labels),
             "bases": [
@@ -217,7 +220,11 @@ class Transport(Displayed):
             for c in range(len(basis.channels)):
                 channels[f"P{p}.total.C{c:03d}"] = self.total[p, c]
                 channels[f"P{p}.direct.C{c:03d}"] = self.direct[p, c]
-        for kind, images in ((PHASE, self.noise_rad), (AMPLITUDE, self.amplitude_noise)):
+        for kind, images in (
+            (PHASE, self.noise_rad),
+            (AMPLITUDE, self.amplitude_noise),
+            (CORRELATION, self.noise_correlation),
+        ):
             if images is not None:
                 for (f, p), name in noise_layers(self.scene, self.bases, kind).items():
                     channels[name] = images[f, p]
@@ -248,7 +255,8 @@ class Transport(Displayed):
                 )
 
                 def view(scene: Scene, prefix: str = "", second: Self | None = None) -> Self:
-                    layers = [noise_layers(scene, bases, kind) for kind in (PHASE, AMPLITUDE)]
+                    kinds = (PHASE, AMPLITUDE, CORRELATION)
+                    layers = [noise_layers(scene, bases, kind) for kind in kinds]
                     light, ambient, label, noise = _images(
                         bands, bases, layers, f"'{path}'", prefix
                     )
@@ -268,6 +276,7 @@ class Transport(Displayed):
                         None if prefix else limits[1],
                         second,
                         noise[1],
+                        noise[2],
                         identity,
                     )
 

@@ -261,6 +261,7 @@ class _Bench:
             bases=light.bases[shining],
             noise_rad=None,
             amplitude_noise=None,
+            noise_correlation=None,
             scene=scene.model_copy(update={"projectors": scene.projectors[shining]}),
         )
 

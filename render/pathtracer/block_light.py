@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from render.fringe_phasor import ANY_PHASE, FinestFringe
+from render.fringe_phasor import ANY_PHASE, FinestFringe, direction
 from render.pathtracer.path_kernel import Pass
 
 # Numbers that a chunk of lanes may return at once: 64 MB of float32.
@@ -100,8 +100,9 @@ def add(have: BlockLight, number: Counts, new: BlockLight, more: Counts, at: Any
 
 def phasor_variance(
     blocks: Sequence[tuple[NDArray[np.intp], NDArray[np.complex64]]], number: Counts, halves: int
-) -> tuple[Images, Images]:
-    """Variances of the phase, rad^2, and of the modulation of all light, (fringe, projector, pixel), by the jackknife.
+) -> tuple[Images, Images, Images]:
+    """Variances of the phase, rad^2, and of the modulation of all light, and their correlation, (fringe, projector, pixel),
+    by the jackknife.
 
     That of the phase is NaN without a fringe, both are for one block. The modulation's is what the phase's leaves of the
     phasor's, so that together they are right where the phase is not known at all.
@@ -114,27 +115,32 @@ def phasor_variance(
     squares = (number * weight**2).reshape(pixels, halves).sum(axis=1)
     shape = blocks[0][1].shape[:-1]
     phase = np.empty((*shape, pixels), np.float32)
-    amplitude = np.empty_like(phase)
+    amplitude, correlation = np.empty_like(phase), np.empty_like(phase)
     for at in np.ndindex(shape):
         own = [(entry // halves, weight[entry], z[at]) for entry, z in blocks]
         mean = np.zeros(pixels, np.complex128)
         for pixel, w, z in own:
             mean += np.bincount(pixel, w * z.real, pixels)
             mean += 1j * np.bincount(pixel, w * z.imag, pixels)
-        found, whole_found = np.zeros(pixels), np.zeros(pixels)
+        found, whole_found, both = np.zeros((3, pixels))
         for pixel, w, z in own:
             whole = mean[pixel]
             off = np.angle((whole - w * z) * whole.conj())
             # Each block's distance from a mean that it is part of is too short by this.
             scale = 1.0 / np.maximum(1.0 - 2.0 * w + squares[pixel], 1e-9)
             found += np.bincount(pixel, scale * ((1.0 - w) * off) ** 2, pixels)
-            whole_found += np.bincount(pixel, scale * (w * np.abs(z - whole)) ** 2, pixels)
+            moved = np.sqrt(scale) * w * (z - whole) * direction(whole).conj()
+            whole_found += np.bincount(pixel, np.abs(moved) ** 2, pixels)
+            both += np.bincount(pixel, moved.real * moved.imag, pixels)
         found = np.minimum(found, ANY_PHASE)
         left = np.maximum(whole_found - found * np.abs(mean) ** 2, 0.0)
         found[(mean == 0.0) | (squares >= 1.0)] = np.nan
         left[squares >= 1.0] = np.nan
         phase[at], amplitude[at] = found, left
-    return phase, amplitude
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = both / (np.sqrt(found * left) * np.abs(mean))
+        correlation[at] = np.clip(np.nan_to_num(share), -1.0, 1.0)
+    return phase, amplitude, correlation
 
 
 def scatter_about_direct(light: BlockLight, number: Counts) -> Floats:

@@ -31,15 +31,15 @@ def phasor_noise(
     fringes: Sequence[FinestFringe],
     samples: int,
     seed: int,
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Standard deviations of the phase and of the modulation of a pass's light `total` (projector, channel, row, col),
-    (fringe, projector, row, col)."""
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """Standard deviations of the phase and of the modulation of a pass's light `total` (projector, channel, row, col), and
+    their correlation, (fringe, projector, row, col)."""
     rows, columns = label.shape
     measured = _one_of_each_cell(label.shape, seed)
     pixels = np.flatnonzero(measured).astype(np.uint32)
     light = total.reshape(*total.shape[:2], -1)
-    # Across the phasor, which turns it, and along it.
-    off = np.empty((2, len(fringes), len(channels), pixels.size))
+    # Across the phasor, which turns it, and along it; and whether with the same sign.
+    off = np.empty((3, len(fringes), len(channels), pixels.size))
     for start in range(0, pixels.size, BAND):
         band = slice(start, start + BAND)
         pixel = pixels[band]
@@ -51,12 +51,16 @@ def phasor_noise(
                 cosine, sine = fringe.phasor(light[p, :count, pixel].T, p)
                 # Times the modulation, which neighbours need not share.
                 other = again.phasor[0, f, p]
-                across = np.angle(other * (cosine - 1j * sine)) * np.hypot(cosine, sine)
-                whole = np.abs(other - cosine - 1j * sine)
-                along = np.sqrt(np.maximum(whole**2 - across**2, 0.0))
-                off[:, f, p, band] = np.abs([across, along]) / np.sqrt(2.0)
+                first = cosine + 1j * sine
+                across = np.angle(other * first.conj()) * np.abs(first)
+                along = np.sqrt(np.maximum(np.abs(other - first) ** 2 - across**2, 0.0))
+                longer = ((other - first) * first.conj()).real
+                off[:2, f, p, band] = np.abs([across, along]) / np.sqrt(2.0)
+                off[2, f, p, band] = np.sign(across * longer)
     near = np.cumsum(measured.ravel())[_nearest_of_label(measured, label).ravel()] - 1
-    noise, amplitude = np.empty((2, len(fringes), len(channels), rows, columns), np.float32)
+    noise, amplitude, correlation = np.empty(
+        (3, len(fringes), len(channels), rows, columns), np.float32
+    )
     for p, count in enumerate(channels):
         for f, fringe in enumerate(fringes):
             modulation = np.hypot(*fringe.phasor(total[p, :count], p))
@@ -64,7 +68,8 @@ def phasor_noise(
                 found = off[0, f, p, near].reshape(label.shape) / modulation
             noise[f, p] = np.minimum(found, np.sqrt(ANY_PHASE))
             amplitude[f, p] = off[1, f, p, near].reshape(label.shape)
-    return noise, amplitude
+            correlation[f, p] = off[2, f, p, near].reshape(label.shape)
+    return noise, amplitude, correlation
 
 
 def _one_of_each_cell(shape: tuple[int, ...], seed: int) -> NDArray[np.bool_]:

@@ -122,10 +122,10 @@ def _traced(
         rows = min(most, max(1, int(rows * min(faster, 4.0))))
     label = label_map(pass_.scene, pass_.camera, surfaces.ids, (height, width))
     fringes = finest_fringes(scene.patterns, bases)
-    noise, amplitude = (
+    noise, amplitude, correlation = (
         phasor_noise(pass_, total, label, channels, fringes, samples, seed)
         if fringes
-        else (None, None)
+        else (None, None, None)
     )
     return Transport(
         total,
@@ -140,6 +140,7 @@ def _traced(
         depth,
         noise_rad=noise,
         amplitude_noise=amplitude,
+        noise_correlation=correlation,
         identity=identity(scene),
     )
 

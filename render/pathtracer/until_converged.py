@@ -254,14 +254,20 @@ def _averaged(mean: Transport, new: Transport, share: float) -> Transport:
         for p in range(have.shape[0]):
             for c in range(have.shape[1]):
                 have[p, c] += np.float32(share) * (more[p, c] - have[p, c])
-    for noise, other in (
-        (mean.noise_rad, new.noise_rad),
-        (mean.amplitude_noise, new.amplitude_noise),
-    ):
-        assert noise is not None  # there is a fringe to watch
-        assert other is not None
-        np.hypot((1.0 - share) * noise, share * other, out=noise)
-    return mean
+    (phase, along, both), (other, beside, rest) = _noise(mean, 1.0 - share), _noise(new, share)
+    noise, amplitude = np.hypot(phase, other), np.hypot(along, beside)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shared_part = (both * phase * along + rest * other * beside) / (noise * amplitude)
+    correlation = np.nan_to_num(shared_part)
+    return replace(mean, noise_rad=noise, amplitude_noise=amplitude, noise_correlation=correlation)
+
+
+def _noise(light: Transport, share: float) -> list[NDArray[np.float32]]:
+    """Deviations of the phase and of the modulation of this share of the light, and their correlation."""
+    assert light.noise_rad is not None  # there is a fringe to watch
+    assert light.amplitude_noise is not None
+    assert light.noise_correlation is not None
+    return [share * light.noise_rad, share * light.amplitude_noise, light.noise_correlation]
 
 
 class _Watch:

@@ -70,7 +70,7 @@ def trace(
     tiles = TileGrid.of(scene.camera.resolution, SURVEY_SAMPLES)
     images = 2 * len(bases) * max(len(b.channels) for b in bases) + 1
     with room_for(
-        (4 * (5 * images + 6 * len(bases) * len(fringes)) + PIXEL_BYTES) * width * height
+        (4 * (5 * images + 9 * len(bases) * len(fringes)) + PIXEL_BYTES) * width * height
         + tiles.memory,
         f"tracing {width} x {height} pixels of {images} channels (2 x projectors x channels + 1)",
         "lower camera.resolution, or trace fewer periods or axes at a time",
@@ -152,7 +152,7 @@ def _traced(
     number, paths = blocks.number, blocks.total_paths
     traced = [(np.repeat(np.arange(number.size), number), final.phasor[0])]
     more = more_of_halves(
-        final, phasor_variance(traced, number, 1), blocks, targets, most, lit_px, transport
+        final, phasor_variance(traced, number, 1)[:2], blocks, targets, most, lit_px, transport
     )
     entry = np.flatnonzero(more)
     more = more[entry]
@@ -163,8 +163,13 @@ def _traced(
         traced.append((np.repeat(entry, more), new.phasor[0]))
         del new
     known = (len(fringes), len(bases), height, width)
-    phase, amplitude = (np.sqrt(v).reshape(known) for v in phasor_variance(traced, number, 2))
-    result = replace(transport(final, paths), noise_rad=phase, amplitude_noise=amplitude)
+    phase, along, both = (v.reshape(known) for v in phasor_variance(traced, number, 2))
+    result = replace(
+        transport(final, paths),
+        noise_rad=np.sqrt(phase),
+        amplitude_noise=np.sqrt(along),
+        noise_correlation=both,
+    )
     ratios = render_to_sensor_noise(result, lit_px)
     reached = RenderNoise(
         target,

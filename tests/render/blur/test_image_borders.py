@@ -12,9 +12,11 @@ import scenes
 from render.blur.image_borders import fringe_terms
 from render.blur.point_spread import REACH, blurred, spread_kernel
 from render.chip_image import Image
-from render.fringe_phasor import finest_fringes
-from render.light_noise import on_chip, sensor_noise
+from render.fringe_phasor import direction, finest_fringes
+from render.light_noise import on_chip, phase_variance, sensor_noise
+from render.pathtracer.block_light import phasor_variance
 from tests.render.blur.test_point_spread import sensor, whole
+from tests.trust import chance
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -45,6 +47,7 @@ def without(light: render.Transport, margin: int) -> render.Transport:
         scene=light.scene.model_copy(update={"camera": camera}),
         noise_rad=None,
         amplitude_noise=None,
+        noise_correlation=None,
     )
 
 
@@ -94,6 +97,7 @@ def test_even_fringes_keep_phase_and_contrast_up_to_the_border() -> None:
 def test_noise_behind_a_lens_adds_up_in_squares() -> None:
     """Along a phasor's neighbours, whose phases differ, it turns the phasor; with the noise across them it adds up as variances do."""
     light = render.trace(scenes.load("step", {"camera.resolution": [24, 18]}), samples=4)
+    light = replace(light, noise_correlation=None)
     across = np.full((1, 1, 18, 24), 1e-3, np.float32)
     total = [
         on_chip(replace(light, noise_rad=across, amplitude_noise=np.full_like(across, along)))
@@ -105,6 +109,38 @@ def test_noise_behind_a_lens_adds_up_in_squares() -> None:
     assert seen.mean() > 0.5
     # Float32 of the sum.
     np.testing.assert_allclose((two - zero)[seen] / grown[seen], 4.0, rtol=1e-3)
+
+
+@pytest.mark.parametrize("lean", [-0.8, 0.8])
+def test_noise_that_turns_and_lengthens_at_once_is_known_behind_a_lens(lean: float) -> None:
+    """A bright, noisy half beside a dark, quiet one of another phase: blocks of single draws against the scatter of their sums."""
+    draws, number, rows, columns = 4000, 4, 3, 6
+    dark = np.arange(columns) >= columns // 2
+    z = np.tile(np.where(dark, 4.0 * np.exp(1.3j), 10.0), (rows, 1))
+    rng = np.random.default_rng(chance.seeds(1, "lens", lean)[0])
+    along, free = rng.standard_normal((2, draws, rows, columns, number))
+    noise = (along + 1j * (lean * along + np.sqrt(1.0 - lean**2) * free)) * direction(z)[..., None]
+    blocks = z[..., None] + np.where(dark, 0.01, 0.2)[:, None] * noise
+    entry = np.repeat(np.arange(draws * z.size), number)
+    each = np.full(draws * z.size, number, np.uint32)
+    single = blocks.astype(np.complex64).reshape(1, 1, -1)
+    phase, length, both = (v.reshape(draws, *z.shape).astype(np.float64) for v in phasor_variance([(entry, single)], each, 1))  # fmt: skip
+    power = np.abs(blocks.mean(axis=-1)) ** 2
+    covariance = both * np.sqrt(phase * length * power)
+    across, along_2, both = (x.mean(axis=0) for x in (phase * power, length, covariance))
+    side, corner = 0.1, 0.05
+    quadrant = np.array([[1.0 - 4.0 * (side + corner), side], [side, corner]])
+    # Where the border does not matter.
+    stated = phase_variance(z, across, along_2, both, quadrant)[1, 1:-1]
+    mean = blocks.mean(axis=-1)
+    beside = [mean[:, i : i + 1, j : j + columns - 2] for i in range(3) for j in range(3)]
+    chip = np.tensordot(whole(quadrant).ravel(), np.stack(beside), 1)[:, 0]
+    seen = (np.angle(chip / chip.mean(axis=0)) ** 2).mean(axis=0)
+    # Five standard errors of a variance of so many draws.
+    np.testing.assert_allclose(stated, seen, rtol=5.0 * np.sqrt(2.0 / draws))
+    # Teeth: at the rim, what varies together is a good part of it.
+    apart = phase_variance(z, across, along_2, 0.0 * both, quadrant)[1, 1:-1]
+    assert np.abs(apart / seen - 1.0)[columns // 2 - 1] > 0.3
 
 
 def test_photons_within_the_kernels_reach_of_no_border_are_conserved() -> None:

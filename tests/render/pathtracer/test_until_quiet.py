@@ -279,6 +279,7 @@ def test_file_keeps_noise_and_what_was_reached(tmp_path: Path) -> None:
     assert light.amplitude_noise is not None
     np.testing.assert_array_equal(again.noise_rad, light.noise_rad)
     np.testing.assert_array_equal(again.amplitude_noise, light.amplitude_noise)
+    np.testing.assert_array_equal(again.noise_correlation, light.noise_correlation)
     truth = render.truth(scene, again)
     truth.write(tmp_path / "truth.exr")
     kept = scenes.Truth.read(tmp_path / "truth.exr").render_noise_mm
