@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scenes.board.board import Board
 from scenes.board.board_settings import CONTAMINATION, FIDUCIAL, HOLE, LEGEND, RESIDUE, SCRATCH
 from scenes.board.deposits import PasteBridge, Print
+from scenes.board.extras.solder_domes import Dome, domes, on_domes
 from scenes.board.printing import printed
 from scenes.board.surface import surfaces
 from scenes.board.warp import FACE_MM, WarpedPlane
@@ -71,9 +72,14 @@ def _bodies(board: Board, print_: Print) -> Iterable[Body]:
         world = surface.vertices - np.array([x, y, 0.0])
         yield Body(*looks[kind], world, surface.faces, surface.pad.astype(np.int32), False)
     base = print_.stackup.pad_mm
+    tin = domes(board, print_.layout)
+    for label in dict.fromkeys(dome.label for dome in tin):
+        tops = [(dome.field, _same(dome.pad, dome.field)) for dome in tin if dome.label == label]
+        yield _shells(label, layers.pad_material, tops, base, True, walls=False)
     fields = [(d.field, _same(d.pad.id, d.field)) for d in print_.deposits if d.field]
     fields += [(d.tail, _same(d.pad.id, d.tail)) for d in print_.deposits if d.tail]
     fields += [(b.field, _halves(b, b.field)) for b in print_.bridges if b.field]
+    fields = [(_raised(field, tin), pads) for field, pads in fields]
     if fields:
         shells = _shells("paste", paste.material, fields, base, paste.texture != "granular")
         # Grains, the flux between them, and paste without either, such as smears.
@@ -82,17 +88,24 @@ def _bodies(board: Board, print_: Print) -> Iterable[Body]:
         for number, name in enumerate(named):
             if (own := kinds == number).any():
                 yield replace(shells, material=name, faces=shells.faces[own], pad=shells.pad[own])
-    specks = [(d.speck, _same(d.pad.id, d.speck)) for d in print_.deposits if d.speck]
+    specks = [(_raised(d.speck, tin), _same(d.pad.id, d.speck)) for d in print_.deposits if d.speck]
     if specks:
         yield _shells(CONTAMINATION, board.defects.contamination.material, specks, base, False)
 
 
 def _shells(
-    label: str, material: str, fields: list[tuple[Heightfield, Ints]], base_mm: float, smooth: bool
+    label: str,
+    material: str,
+    fields: list[tuple[Heightfield, Ints]],
+    base_mm: float,
+    smooth: bool,
+    walls: bool = True,
 ) -> Body:
     vertices, faces, pads, count = [], [], [], 0
     for field, top in fields:
         v, f = field.shell(base_mm, 0.0, UNDERCUT_MM)
+        if not walls:  # Normals at the rim are the surface's own.
+            v, f = v[: len(field.xy_mm)], field.faces
         pads.append(np.concatenate([top, np.full(len(f) - len(top), top[0])]))
         vertices.append(v)
         faces.append(f + count)
@@ -105,6 +118,11 @@ def _shells(
         np.concatenate(pads).astype(np.int32),
         smooth,
     )
+
+
+def _raised(field: Heightfield, tin: list[Dome]) -> Heightfield:
+    """Paste on domes: as high above them as above flat pads, so that volumes stay exact."""
+    return replace(field, height_mm=field.height_mm + on_domes(field, tin)) if tin else field
 
 
 def _kinds(field: Heightfield) -> Ints:

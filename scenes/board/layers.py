@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from scenes.support.distribution import Quantity, within
+from scenes.support.distribution import Quantity, Uniform, within
 from scenes.support.frozen import Frozen
 
 FINISHES = {"enig": "gold", "hasl": "solder", "tin": "tin", "osp": "copper"}
@@ -21,6 +21,9 @@ class Layers(Frozen):
     finish: Literal["enig", "hasl", "tin", "osp"] = "enig"
     """On the pads: gold over nickel, hot-air levelled solder, immersion tin, or bare copper under a preservative."""
     finish_mm: Thickness = 0.005
+    dome_mm: Thickness | None = None
+    """How much higher than its rim the middle of a bare pad is, drawn for each; absent: 0, with `hasl` up to 0.02, so that the
+    solder is 5 to 25 um thick (70 to 1000 microinches: J. Yip, IPC's TechNet, December 1996)."""
     mask_mm: Positive = 0.025
     """Solder mask, the same on laminate and on copper."""
     mask_material: str = "solder-mask-green"
@@ -28,6 +31,12 @@ class Layers(Frozen):
     """How far the mask's openings are off the copper, drawn once per board."""
     mask_shift_y_mm: Shift = 0.0
     laminate_material: str = "laminate"
+
+    @property
+    def dome(self) -> Quantity:
+        """`dome_mm`, or the finish's."""
+        usual: Quantity = Uniform(low=0.0, high=0.02) if self.finish == "hasl" else 0.0
+        return usual if self.dome_mm is None else self.dome_mm
 
     @property
     def pad_material(self) -> str:
