@@ -21,11 +21,13 @@ PICTURE = "picture.png"
 HEIGHTS = ("height.png", "reconstruction.exr")
 COLOUR = "colour.png"
 MODULATION = "modulation.png"
+HEIGHT_TIFF = "height.tiff"
 ON_REQUEST = {
     "picture": (PICTURE,),
     "heights": HEIGHTS,
     "ring_light": (COLOUR,),
     "modulation": (MODULATION,),
+    "height_tiff": (HEIGHT_TIFF,),
 }
 EVERY_FILE = (*ALWAYS, *(name for names in ON_REQUEST.values() for name in names))
 SPLITS = {"train": 0.8, "val": 0.1, "test": 0.1}
@@ -54,6 +56,8 @@ class DatasetPlan(Frozen):
     """Each sample has ``colour.png``, a picture under ring lights."""
     modulation: bool = False
     """Each sample has its measured modulation, ``modulation.png``."""
+    height_tiff: bool = False
+    """Each sample has its measured heights as floating-point millimetres, ``height.tiff``."""
     variants: Annotated[int, Field(ge=1, le=1000)] = 1
     """Samples that share one light and differ in noise, and in what is drawn for sensor and exposures."""
     made_with: dict[str, str] = {}

@@ -23,6 +23,7 @@ def dataset(
     strict: bool = False,
     progress: Callable[[int, int, int], None] | None = None,
     modulation: bool = False,
+    height_tiff: bool = False,
 ) -> Built:
     """Make a data set of random samples of a scene, or continue one that was interrupted.
 
@@ -59,6 +60,8 @@ def dataset(
         Called with the samples done, the samples failed, and `count`.
     modulation
         Give each sample ``modulation.png``, the measured fringe amplitude in 16 bits.
+    height_tiff
+        Give each sample ``height.tiff``, the measured heights in mm as float32, NaN where there is none.
 
     Returns
     -------
@@ -95,6 +98,7 @@ def dataset(
         variants=variants,
         ring_light=ring_light,
         modulation=modulation,
+        height_tiff=height_tiff,
     )
     built = build(plan, folder, workers, scheduler, strict, progress)
     write_report(str(folder))

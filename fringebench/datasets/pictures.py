@@ -58,6 +58,14 @@ def write_png(image: NDArray[np.unsignedinteger], path: Path) -> None:
         Image.fromarray(image).save(staged, format="PNG")
 
 
+def write_tiff(height_mm: NDArray[np.floating], path: Path) -> None:
+    """Write heights (row, col) as float32, NaN where there is none, atomically."""
+    with replacing(path) as staged:
+        Image.fromarray(height_mm.astype(np.float32)).save(
+            staged, format="TIFF", compression="tiff_adobe_deflate"
+        )
+
+
 def read_png(path: Path) -> NDArray[Any]:
     """A picture (row, col) or (row, col, 3) of a sample, of 8 or 16 bits."""
     with Image.open(path) as image:

@@ -129,8 +129,8 @@ class Sample:
         place = f"'{self.store.where}/{self._name(file)}'"
         if not self.record.files.get(file):
             raise DatasetError(
-                f"{place} is not part of this data set: make one with --picture, --heights, --ring-light or "
-                "--modulation"
+                f"{place} is not part of this data set: make one with --picture, --heights, --height-tiff, "
+                "--ring-light or --modulation"
             )
         raise DatasetError(f"{place} is missing: fringebench dataset --repair makes it again")
 

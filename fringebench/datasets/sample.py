@@ -12,13 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evaluation.output.height_image import HeightCode, write_height_image
-from fringebench.datasets.dataset_plan import COLOUR, HEIGHTS, MODULATION, PICTURE, DatasetPlan
+from fringebench.datasets.dataset_plan import (
+    COLOUR,
+    HEIGHT_TIFF,
+    HEIGHTS,
+    MODULATION,
+    PICTURE,
+    DatasetPlan,
+)
 from fringebench.datasets.pictures import (
     camera_picture,
     modulation_picture,
     modulation_step_dn,
     srgb,
     write_png,
+    write_tiff,
 )
 from scenes.files.stack import Stack
 from scenes.files.truth_maps import Truth
@@ -175,7 +183,8 @@ class _Content:
                 "step_dn": modulation_step_dn(stack.sensor),
                 "no_modulation": 0,
             }
-        measured = decode.reconstruct(stack) if plan.heights or plan.modulation else None
+        wanted = plan.heights or plan.modulation or plan.height_tiff
+        measured = decode.reconstruct(stack) if wanted else None
         return cls(drawn, stack, truth, measured, labels, colour)
 
     def write(self, folder: Path, files: Sequence[str]) -> None:
@@ -186,17 +195,23 @@ class _Content:
             write_png(camera_picture(self.stack), folder / PICTURE)
         if self.colour is not None:
             write_png(srgb(self.colour), folder / COLOUR)
-        if MODULATION in files and self.measured is not None:
-            write_png(
-                modulation_picture(self.measured.modulation_dn, self.stack), folder / MODULATION
-            )
-        if HEIGHTS[0] in files and self.measured is not None:
-            code = HeightCode.of_range(*self.scene.height_range_mm)
-            heights = np.where(self.measured.valid, self.measured.height_mm, np.nan)
-            write_height_image(folder / HEIGHTS[0], heights, code)
-            self.measured.write(folder / HEIGHTS[1])
+        if self.measured is not None:
+            self._write_measured(self.measured, folder, files)
         with replacing(folder / "labels.json") as staged:
             staged.write_text(json.dumps(self.labels, indent=1, allow_nan=False), "utf-8")
+
+    def _write_measured(
+        self, measured: "Reconstruction", folder: Path, files: Sequence[str]
+    ) -> None:
+        if MODULATION in files:
+            write_png(modulation_picture(measured.modulation_dn, self.stack), folder / MODULATION)
+        heights = np.where(measured.valid, measured.height_mm, np.nan)
+        if HEIGHT_TIFF in files:
+            write_tiff(heights, folder / HEIGHT_TIFF)
+        if HEIGHTS[0] in files:
+            code = HeightCode.of_range(*self.scene.height_range_mm)
+            write_height_image(folder / HEIGHTS[0], heights, code)
+            measured.write(folder / HEIGHTS[1])
 
 
 @lru_cache(maxsize=1)

@@ -38,6 +38,7 @@ def dataset(
     ring_light: bool = False,
     heights: bool = False,
     modulation: bool = False,
+    height_tiff: bool = False,
     variants: opt.Count = 1,
     format_: Annotated[str, typer.Option("--format", metavar="folder|webdataset")] = "folder",
     card: bool = False,
@@ -66,6 +67,7 @@ def dataset(
     ring_light: colour.png in each sample: a 2-D camera's colour picture under red, green and blue ring lights.
     heights: Measured heights in each sample: height.png, reconstruction.exr.
     modulation: Measured fringe amplitude in each sample: modulation.png, 16 bits.
+    height_tiff: Measured heights in each sample: height.tiff, mm in 32 bits of floating point.
     variants: Samples that share one light: only noise, and what is drawn for sensor and exposures, differ.
     format_: webdataset: tar shards as well.
     card: Data card: README.md, and its tables in report.html.
@@ -106,6 +108,7 @@ def dataset(
             variants=variants,
             ring_light=ring_light,
             modulation=modulation,
+            height_tiff=height_tiff,
         )
         answer = _build(plan, output, processes, scheduler, strict, progress)
         if format_ == "webdataset":

@@ -37,9 +37,10 @@ M02*
 
 @pytest.fixture(scope="module")
 def measured_set(plan: DatasetPlan, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two samples with measured heights and modulation."""
+    """Two samples with all that is measured."""
     folder = tmp_path_factory.mktemp("measured") / "set"
-    build(plan.model_copy(update={"count": 2, "heights": True, "modulation": True}), folder)
+    asked = dict.fromkeys(("heights", "modulation", "height_tiff"), True)
+    build(plan.model_copy(update={"count": 2, **asked}), folder)
     return folder
 
 
@@ -86,6 +87,16 @@ def test_height_picture_is_the_reconstruction_within_half_a_step(measured_set: P
         # float32 heights of half a millimetre are exact to 3e-8 mm.
         error = np.abs(code.offset_mm + code.step_mm * number - found.height_mm)[inside]
         assert error.max() <= code.step_mm / 2 + 1e-7
+
+
+def test_height_tiff_is_the_reconstruction_in_millimetres(measured_set: Path) -> None:
+    for sample in fringebench.Dataset(measured_set):
+        with Image.open(measured_set / sample.record.folder / "height.tiff") as image:
+            assert (image.mode, image.size) == ("F", (64, 48))
+            height_mm = np.asarray(image)
+        found = sample.reconstruction
+        np.testing.assert_array_equal(np.isfinite(height_mm), found.valid)
+        np.testing.assert_array_equal(height_mm[found.valid], found.height_mm[found.valid])
 
 
 def test_modulation_picture_is_the_measured_amplitude_within_half_a_step(
