@@ -122,6 +122,8 @@ def test_dead_worker_costs_an_attempt_and_a_sample_that_always_kills_it_is_recor
             super().give(index, store)  # type: ignore[arg-type]
             given.append(index)
             if given == [0] or index == 1:
+                self._stderr.write(b"no lamp\n")
+                self._stderr.flush()
                 self._process.kill()
 
     with pytest.MonkeyPatch.context() as patch:
@@ -129,7 +131,7 @@ def test_dead_worker_costs_an_attempt_and_a_sample_that_always_kills_it_is_recor
         built = build(plan.model_copy(update={"count": 3}), tmp_path / "set", workers=1)
     assert given == [0, 0, 1, 1, 2]
     assert [record.index for record in built.failed] == [1]
-    assert "killed by SIGKILL" in built.failed[0].reason
+    assert built.failed[0].reason.endswith("killed by SIGKILL: no lamp")
     assert not (tmp_path / "set/samples/000001").exists()
     for name in ("000000", "000002"):
         same = checksums(tmp_path / "set/samples" / name)
