@@ -106,7 +106,7 @@ def card_sections(found: Dataset[Sample]) -> list[Section]:
 
 def _modulation(scene: Scene) -> str:
     step_dn = modulation_step_dn(scene.sensor)
-    return f"modulation_dn = {step_dn:.9g} * number; 0: no modulation"
+    return f"modulation_dn = {step_dn:.9g} * number, at the shortest exposure; 0: no modulation"
 
 
 def _volumes(shares: np.ndarray[tuple[int, int], np.dtype[np.float64]]) -> Grid:

@@ -55,7 +55,7 @@ class DatasetPlan(Frozen):
     ring_light: bool = False
     """Each sample has ``colour.png``, a picture under ring lights."""
     modulation: bool = False
-    """Each sample has its measured modulation, ``modulation.png``."""
+    """Each sample has its measured modulation at the shortest exposure, ``modulation.png``."""
     height_tiff: bool = False
     """Each sample has its measured heights as floating-point millimetres, ``height.tiff``."""
     variants: Annotated[int, Field(ge=1, le=1000)] = 1

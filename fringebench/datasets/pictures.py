@@ -44,12 +44,19 @@ def modulation_step_dn(sensor: Sensor) -> float:
     return float(2.0 ** ((sensor.bits or 8) - 16))
 
 
-def modulation_picture(modulation_dn: NDArray[np.floating], stack: Stack) -> NDArray[np.uint16]:
-    """Modulation (row, col) as numbers, within half a step; 0 where it is not known, 65535 for that or more."""
-    number = np.nan_to_num(modulation_dn.astype(np.float64), nan=0.0) / modulation_step_dn(
-        stack.sensor
-    )
-    return np.rint(np.clip(number, 0.0, 65535.0)).astype(np.uint16)
+def modulation_picture(
+    modulation_dn: NDArray[np.floating], exposure: NDArray[np.integer], stack: Stack
+) -> NDArray[np.uint16]:
+    """Modulation (row, col) of the exposures with these numbers as at the shortest, within half a step; 0 where it is not known,
+    65535 for that or more.
+
+    At one exposure, so that surfaces compare: where the exposure changes, DN jump.
+    """
+    share = min(stack.exposure_ms) / np.append(stack.exposure_ms, np.nan)
+    shown_dn = modulation_dn * share[np.minimum(exposure, len(stack.exposure_ms))]
+    number = np.nan_to_num(shown_dn, nan=0.0) / modulation_step_dn(stack.sensor)
+    picture: NDArray[np.uint16] = np.rint(np.clip(number, 0.0, 65535.0)).astype(np.uint16)
+    return picture
 
 
 def write_png(image: NDArray[np.unsignedinteger], path: Path) -> None:

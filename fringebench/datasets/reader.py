@@ -80,7 +80,7 @@ class Sample:
 
     @cached_property
     def modulation_dn(self) -> NDArray[np.floating]:
-        """``modulation.png`` in DN, (row, col), 0 where it is not known; only in data sets made with `modulation`."""
+        """``modulation.png`` in DN at the shortest exposure, (row, col), 0 where it is not known; only in data sets made with `modulation`."""
         numbers = self._read("modulation.png", read_png)
         step_dn: float = self.labels["modulation_png"]["step_dn"]
         return step_dn * numbers

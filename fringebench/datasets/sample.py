@@ -181,6 +181,7 @@ class _Content:
         if plan.modulation:
             labels["modulation_png"] = {
                 "step_dn": modulation_step_dn(stack.sensor),
+                "exposure_ms": min(stack.exposure_ms),
                 "no_modulation": 0,
             }
         wanted = plan.heights or plan.modulation or plan.height_tiff
@@ -204,7 +205,8 @@ class _Content:
         self, measured: "Reconstruction", folder: Path, files: Sequence[str]
     ) -> None:
         if MODULATION in files:
-            write_png(modulation_picture(measured.modulation_dn, self.stack), folder / MODULATION)
+            shown = modulation_picture(measured.modulation_dn, measured.exposure, self.stack)
+            write_png(shown, folder / MODULATION)
         heights = np.where(measured.valid, measured.height_mm, np.nan)
         if HEIGHT_TIFF in files:
             write_tiff(heights, folder / HEIGHT_TIFF)

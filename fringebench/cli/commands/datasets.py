@@ -115,7 +115,9 @@ def dataset(
             from fringebench.datasets.shards import write_shards
 
             shards = write_shards(output)
-            answer.text.append(f"{len(shards)} shards in {output}/webdataset")
+            answer.text.append(
+                f"{len(shards)} shard{'s' * (len(shards) > 1)} in {output}/webdataset"
+            )
             answer.data["shards"] = shards
         from fringebench.datasets.overview_page import write_report
 

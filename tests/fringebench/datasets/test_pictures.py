@@ -105,7 +105,8 @@ def test_modulation_picture_is_the_measured_amplitude_within_half_a_step(
     for sample in fringebench.Dataset(measured_set):
         stated = sample.labels["modulation_png"]
         # A sensor of 12 bits: 65536 numbers for 4096 DN.
-        assert stated == {"step_dn": 1.0 / 16.0, "no_modulation": 0}
+        once = sample.stack.exposure_ms[0]
+        assert stated == {"step_dn": 1.0 / 16.0, "exposure_ms": once, "no_modulation": 0}
         with Image.open(measured_set / sample.record.folder / "modulation.png") as image:
             number = np.asarray(image)
         assert number.dtype == np.uint16
@@ -121,8 +122,17 @@ def test_modulation_picture_is_the_measured_amplitude_within_half_a_step(
 def test_number_zero_of_a_modulation_picture_is_unknown_and_the_last_is_that_or_more() -> None:
     shown = scenes.PhaseShift(steps=4, periods_px=(16.0,)).frames()
     stack = scenes.Stack(np.zeros((1, 4, 1, 3), np.uint8), shown, (1.0,), scenes.Emva(bits=8))
-    given = np.array([[np.nan, 1.0, 300.0]])
-    np.testing.assert_array_equal(modulation_picture(given, stack), [[0, 256, 65535]])
+    given, once = np.array([[np.nan, 1.0, 300.0]]), np.array([[255, 0, 0]], np.uint8)
+    np.testing.assert_array_equal(modulation_picture(given, once, stack), [[0, 256, 65535]])
+
+
+def test_modulation_of_all_exposures_is_as_at_the_shortest() -> None:
+    shown = scenes.PhaseShift(steps=4, periods_px=(16.0,)).frames()
+    times = (4.0, 1.0, 2.0)
+    stack = scenes.Stack(np.zeros((3, 4, 1, 4), np.uint8), shown, times, scenes.Emva(bits=8))
+    # The same light at three exposures, and a pixel of which the exposure is not known.
+    given, used = np.array([[8.0, 2.0, 4.0, 2.0]]), np.array([[0, 1, 2, 255]], np.uint8)
+    np.testing.assert_array_equal(modulation_picture(given, used, stack), [[512, 512, 512, 0]])
 
 
 def test_number_zero_of_a_height_picture_is_no_height() -> None:

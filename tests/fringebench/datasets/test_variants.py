@@ -122,7 +122,10 @@ def test_card_counts_what_the_labels_hold(varied: Path) -> None:
     assert "sensor.read_noise_e" in text
     assert "read_noise_e 2.5" in text
     step_dn = Dataset(varied)[0].labels["modulation_png"]["step_dn"]
-    assert f"| modulation.png | modulation_dn = {step_dn:g} * number; 0: no modulation |" in text
+    assert (
+        f"| modulation.png | modulation_dn = {step_dn:g} * number, at the shortest exposure; "
+        in text
+    )
     front = text.split("---")[1]
     for split in {record.split for record in Dataset(varied).records}:
         assert f"path: webdataset/{split}-*.tar" in front
