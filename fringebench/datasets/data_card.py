@@ -59,11 +59,11 @@ def card_sections(found: Dataset[Sample]) -> list[Section]:
         names = (CATEGORIES[n["category_id"] - 1] for n in sample.labels["annotations"])
         classes[sample.split].update(names)
         pads = (sample.labels["board"] or {"pads": []})["pads"]
-        # Pads without defects: what printing alone does.
+        # Pads without defects, once for each light: what printing alone does.
         shares += [
             (p["area_ratio"], 100.0 * p["volume_mm3"] / p["nominal_volume_mm3"])
             for p in pads
-            if not p["defects"]
+            if not p["defects"] and sample.index % plan.variants == 0
         ]
     camera = scene.camera.projection()
     width, height = scene.camera.resolution

@@ -96,7 +96,8 @@ def drawn_bridges(board: Board, deposits: Iterable[Deposit]) -> list[PasteBridge
         if rng.random() >= settings.probability or (i, j) in touching:
             continue
         width, height = draw(settings.width_mm, rng), draw(settings.height_mm, rng)
-        ends = _gap(footprints[i], footprints[j], width, float(rng.random()))
+        where = float(rng.random())
+        ends = _gap(footprints[i], footprints[j], width, where, settings.longest_mm)
         along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
         start, end = ends[0] - EMBEDDED_MM * along, ends[1] + EMBEDDED_MM * along
         field = _strip(start, end, width, height, 1.0, board.paste)
@@ -108,7 +109,7 @@ def drawn_bridges(board: Board, deposits: Iterable[Deposit]) -> list[PasteBridge
 
 
 def _gap(
-    a: shapely.Polygon, b: shapely.Polygon, width_mm: float, where: float
+    a: shapely.Polygon, b: shapely.Polygon, width_mm: float, where: float, longest_mm: float
 ) -> tuple[Floats, Floats]:
     """Ends of a line across the gap between two footprints, along the direction in which it is narrowest.
 
@@ -126,8 +127,9 @@ def _gap(
         [lateral * across + (centre + reach) * along for reach in (-100.0, 100.0)]
     )
     hits = [shapely.get_coordinates(line.intersection(p)) @ along for p in (a, b)]
-    if any(len(hit) == 0 for hit in hits) or hits[0].max() >= hits[1].min():
-        # Hollow outlines may not face each other there.
+    long = any(len(hit) == 0 for hit in hits) or hits[1].min() - hits[0].max() > longest_mm
+    if long or hits[0].max() >= hits[1].min():
+        # Hollow outlines may not face each other there, and those at right angles gape.
         return shortest[0], shortest[1]
     return lateral * across + hits[0].max() * along, lateral * across + hits[1].min() * along
 

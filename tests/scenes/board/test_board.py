@@ -253,6 +253,23 @@ def test_bridge_joins_neighbours(turn_deg: float) -> None:
     assert all(p.defects == ("bridge",) for p in truth.pads)
 
 
+def test_bridges_are_where_their_pads_are_near() -> None:
+    """Corners of a QFP, too, where pads at right angles gape."""
+    bridge = {"probability": 1.0, "width_mm": 0.1, "longest_mm": 0.5}
+    qfp = {
+        "package": "qfp",
+        "position_mm": [0, 0],
+        "pins": 32,
+        "row_mm": 5.2,
+        "pad_mm": [1.0, 0.28],
+    }
+    for seed in range(5):
+        print_ = printed(board([qfp], defects={"bridge": bridge}, seed=seed))
+        lengths = [np.hypot(*np.subtract(*b.ends_mm)) for b in print_.bridges]
+        assert len(lengths) == 28 + 4
+        assert max(lengths) <= 0.5 + 1e-9
+
+
 def test_every_use_of_random_numbers_has_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two uses of one stream would go together: all missing deposits would be narrow ones, say."""
     used: list[tuple[int, ...]] = []
