@@ -1,4 +1,4 @@
-"""Decoding of one camera's stack: one projector after the other, the better of them per pixel, and the region asked for."""
+"""Decoding of one camera's stack: one projector after the other, one height of all of them, and the region asked for."""
 
 import warnings
 from dataclasses import replace
@@ -15,12 +15,14 @@ from decode.fusion.interface import MERGED
 from decode.options import Options
 from decode.reason import Reason
 from decode.reconstruction import AxisPhase, Reconstruction
+from decode.several_projectors import Heights, better, of_all
 from decode.validity.error_causes import across_projectors, by_cause
 from scenes.files.stack import Stack
 from scenes.support.errors import DecodeError, FringebenchWarning
 from scenes.support.memory import room_for
 
-# Memory per pixel of what comes out, as measured; frames are read in place.
+# Memory per pixel of what comes out of one projector, as measured; frames are read in place. Of several, each makes as much
+# again where it is merged with those before it.
 PIXEL_BYTES = 24
 # Valid pixels that may lie on surfaces which lose much modulation, before the whole stack is in doubt.
 FEW = 0.05
@@ -49,13 +51,14 @@ def decode_pixels(stack: Stack, options: Options) -> Reconstruction:
     device = Device.open(options.backend)
     rule = options.rule().prepare(stack)
     best: Reconstruction | None = None
+    each: list[Heights] = []
     lost = 0.0
     for projector in projectors:
         planner = Planner(stack, options, projector)
         reference = _reference_px(planner) if options.height == "reference-plane" else None
         columns, rows = stack.resolution
         with room_for(
-            PIXEL_BYTES * columns * rows,
+            PIXEL_BYTES * (1 if best is None else 2) * columns * rows,
             f"decoding {columns} x {rows} pixels",
             "decode strips of the frames, each with a calibration of its own pixels",
         ):
@@ -69,10 +72,13 @@ def decode_pixels(stack: Stack, options: Options) -> Reconstruction:
         if signs is not None:
             found, share = by_cause(found, signs)
             lost = max(lost, share)
-        best = found if best is None else _better(best, found)
+        each.append(Heights.of(found))
+        best = found if best is None else better(best, found)
     assert best is not None  # A stack has at least one frame, so one projector.
-    if best.cause_sigma_mm and len(projectors) > 1:
-        best = across_projectors(best)
+    if len(each) > 1:
+        best = of_all(best, each)
+        if best.cause_sigma_mm:
+            best = across_projectors(best)
     if lost > FEW:
         warnings.warn(
             f"fine fringes lose more than a quarter of their modulation on {lost:.0%} of the valid pixels: light spreads inside "
@@ -135,35 +141,6 @@ def _reference_px(plan: Planner) -> NDArray[np.float64] | None:
             f"needed: {plan.axis}, {shape}"
         )
     return np.where(plane.valid, plane.phases[plan.axis].coordinate_px, np.nan)
-
-
-def _better(one: Reconstruction, two: Reconstruction) -> Reconstruction:
-    """Per pixel the valid one with the smaller predicted sigma, of all causes that were looked for."""
-    take = two.valid & (~one.valid | (two.total_sigma_mm < one.total_sigma_mm))
-    images = (
-        "height_mm",
-        "sigma_mm",
-        "modulation_dn",
-        "offset_dn",
-        "reason",
-        "exposure",
-        "projector",
-    )
-    phases = {
-        axis: AxisPhase(
-            phase.period_px,
-            np.where(take, two.phases[axis].wrapped_rad, phase.wrapped_rad),
-            np.where(take, two.phases[axis].order, phase.order),
-        )
-        for axis, phase in one.phases.items()
-        if axis in two.phases and two.phases[axis].period_px == phase.period_px
-    }
-    merged = {name: np.where(take, getattr(two, name), getattr(one, name)) for name in images}
-    causes = {
-        cause: np.where(take, two.cause_sigma_mm[cause], sigma)
-        for cause, sigma in one.cause_sigma_mm.items()
-    }
-    return replace(one, phases=phases, cause_sigma_mm=causes, **merged)
 
 
 def _within(rec: Reconstruction, region: NDArray[np.bool_]) -> Reconstruction:

@@ -80,7 +80,7 @@ class Options:
     axis: Axis | None = None
     """Fringe direction that measures height. None: the more sensitive one, column when uncalibrated."""
     projector: int | None = None
-    """None: all, and per pixel the valid one with the smallest predicted sigma."""
+    """None: all, and of each pixel one height of the valid ones."""
     roi: Roi | None = None
     """(row0, row1, col0, col1), ends exclusive, or a boolean mask (row, col)."""
     min_modulation_dn: float | None = None

@@ -104,7 +104,7 @@ def reconstruct(
     axis
         Projector axis that measures height. None: the more sensitive one; column when uncalibrated.
     projector
-        Index of the projector. None: all, and per pixel the valid one with the smallest predicted sigma.
+        Index of the projector. None: all, and of each pixel one height of the valid ones, their mean where they agree.
     roi
         (row0, row1, col0, col1) in px, ends exclusive, or a boolean mask (row, col).
     min_modulation_dn

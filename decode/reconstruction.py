@@ -59,7 +59,7 @@ class Reconstruction(Displayed):
     """
 
     height_mm: Image
-    """World z."""
+    """World z; of several projectors, that of all whose height is valid."""
     sigma_mm: Image
     """Predicted standard deviation of the height from sensor noise and rounding."""
     modulation_dn: Image
@@ -75,7 +75,8 @@ class Reconstruction(Displayed):
     axis: Axis = "column"
     """Projector axis that measured the height."""
     projector: NDArray[np.uint8] | None = None
-    """Index of the projector that each pixel's numbers come from, (row, col); 255 or None: unknown."""
+    """Index of the projector that each pixel's numbers other than height and sigmas come from: of the valid ones, the one with the
+    smallest total sigma; (row, col); 255 or None: unknown."""
     phases: Mapping[Axis, AxisPhase] = field(default_factory=dict)
     """Absolute phase by projector axis."""
     calibration: Calibration | None = None

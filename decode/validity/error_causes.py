@@ -109,10 +109,9 @@ def by_cause(rec: Reconstruction, signs: Signs) -> tuple[Reconstruction, float]:
 
 
 def across_projectors(rec: Reconstruction) -> Reconstruction:
-    """With the sigma `mixed` that neighbours show which other projectors measured.
+    """With the sigma `mixed` that neighbours show which other projectors measured, or more of them.
 
-    The best of several projectors is the one with the fewest signs, not the one with the smallest error: where they disagree,
-    the merged heights show it.
+    Neighbours that some projectors do not see have other biases: the height of all projectors shows it, that of one does not.
     """
     valid = rec.valid & np.isfinite(rec.height_mm) & np.isfinite(rec.sigma_mm)
     if not valid.any():

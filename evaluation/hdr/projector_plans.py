@@ -97,5 +97,5 @@ PROJECTOR = (
     Strategy("intensity-ladder", intensity_ladder, "max-modulation", "Waddington & Kofman 2010"),
     Strategy("adaptive-projection", adaptive_projection, "censored-ml", "Li & Kofman 2014"),
     Strategy("one-projector", one_projector, "censored-ml", "the first projector alone"),
-    Strategy("every-projector", every_projector, "censored-ml", "per pixel the best projector"),
+    Strategy("every-projector", every_projector, "censored-ml", "one height of all projectors"),
 )

@@ -127,12 +127,16 @@ def test_projector_map_names_who_measured_each_pixel(tmp_path: Path) -> None:
     assert rec.valid.all()
     assert rec.projector is not None
     assert (rec.projector[:, :24] == 0).all() and (rec.projector[:, 32:] == 1).all()
-    # Where both do, it is the one whose numbers are there.
+    both = np.arange(64) // 8 == 3
     for index in (0, 1):
         alone = decode.reconstruct(stack, projector=index)
         assert alone.projector is not None and (alone.projector == index).all()
         mine = rec.projector == index
-        assert np.array_equal(rec.height_mm[mine], alone.height_mm[mine])
+        assert np.array_equal(rec.phase_rad[mine], alone.phase_rad[mine])
+        # Where both do, the height is that of both.
+        assert np.array_equal(rec.height_mm[mine & ~both], alone.height_mm[mine & ~both])
+        assert np.array_equal(rec.sigma_mm[mine & ~both], alone.sigma_mm[mine & ~both])
+        assert (rec.sigma_mm[mine & both] < alone.sigma_mm[mine & both]).all()
     rec.write(tmp_path / "rec.exr")
     back = decode.Reconstruction.read(tmp_path / "rec.exr")
     assert back.projector is not None and np.array_equal(back.projector, rec.projector)
