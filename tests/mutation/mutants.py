@@ -118,6 +118,11 @@ def _numerical(tree: ast.AST) -> Iterator[Expression]:
                 continue
             if isinstance(node, ast.Subscript) and getattr(node.value, "id", "") == "Annotated":
                 continue
+            if (
+                isinstance(node, ast.UnaryOp)
+                and getattr(getattr(tree, "func", 0), "attr", "") == "reshape"
+            ):
+                continue  # any negative length is NumPy's free one
             if isinstance(node, Expression):
                 yield node
             yield from _numerical(node)

@@ -191,6 +191,16 @@ def test_exposure_times_in_the_wrong_order_are_detected() -> None:
     assert any("exposures" in f.name for f in check(back).wrong)
 
 
+def test_saturated_and_dark_pixels_do_not_count_in_the_check_of_exposure_times() -> None:
+    once = large(FOUR)
+    light = (once.frames[0] - 20.0) * np.linspace(0.02, 1.0, LARGE[0])
+    frames = np.stack([np.clip(np.round(20.0 + t * light), 0, 255) for t in (1.0, 2.0)])
+    found = check(replace(once, frames=frames.astype(np.uint8), exposure_ms=(1.0, 2.0)))
+    (exposures,) = (f for f in found.findings if f.name.startswith("exposures"))
+    # Rounding moves a ratio of some 40 and 80 DN by a hundredth, their median by less.
+    assert exposures.value == pytest.approx(0.0, abs=0.005)
+
+
 def test_saturation_and_gamma_are_warned_of_not_refused() -> None:
     patterns = PhaseShift(steps=4, periods_px=(16.0, 128.0))
     report = check(take(patterns, gain=300.0))

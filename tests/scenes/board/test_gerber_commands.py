@@ -178,6 +178,14 @@ def test_arcs_of_a_region_keep_the_area(tmp_path: Path, radius: float, pieces: i
     assert pad.area == pytest.approx(np.pi * radius**2, rel=3e-6 / radius)
 
 
+def test_polygon_of_a_large_arc_is_within_two_micrometres_of_it(tmp_path: Path) -> None:
+    body = "G75*\nG36*\n" + at(50.0, 0.0, "D02") + "G03*\n" + at(50.0, 0.0, "I-50000000J0D01")
+    (pad,) = pads_of(tmp_path, body + "G37*\n")
+    corners = shapely.get_coordinates(pad.exterior)
+    chords = (corners[1:] + corners[:-1]) / 2.0
+    assert np.abs(np.hypot(*np.vstack([corners, chords]).T) - 50.0).max() < 2e-3
+
+
 def test_line_by_its_corner_begins_there(tmp_path: Path) -> None:
     body = "%AMLL*22,1,1.0,0.5,0.3,-0.2,0*%\n%ADD10LL*%\nD10*\n" + at(0, 0, "D03")
     (pad,) = pads_of(tmp_path, body)
@@ -254,6 +262,7 @@ REFUSED = {
         HEAD + f"%AMN*1,1,{'(' * 3000}1{')' * 3000},0,0*%\n%ADD10N*%\n" + at(0, 0, "D03") + "M02*",
         "nested too deeply",
     ),
+    "thermal of gaps alone": (HEAD + "%AMT*7,0,0,1,0.5,0.8,0*%\n%ADD10T*%\nM02*", "thermal"),
     "unknown primitive": (HEAD + "%AMQ*9,1,2*%\n%ADD10Q*%\nM02*", "not defined|primitive 9"),
     "endless repeat": (HEAD + BOX + "%SRX99999Y99999I1J1*%\n" + at(0, 0, "D03") + "M02*", "more than"),
     "open block": (HEAD + "%ABD12*%\n" + BOX + at(0, 0, "D03") + "M02*", "not closed"),
