@@ -5,6 +5,7 @@ import pytest
 
 from decode.reason import Reason
 from decode.stereo_phase import stereo
+from decode.stereo_phase.epipolar_grid import CameraBaseline, EpipolarGrid
 from scenes.acquisition.patterns import GrayCode, PhaseShift
 from scenes.acquisition.sensor import SimpleSensor
 from scenes.files.stack import Stack
@@ -129,6 +130,16 @@ def test_images_beyond_memory_are_refused_with_their_number_of_pixels(
     pixels = left.frames[0, 0].size + right.frames[0, 0].size
     with pytest.raises(TooLargeError, match=f"stereo of {pixels} pixels"):
         stereo(left, right, EYES, HEIGHTS)
+
+
+def test_grid_of_a_camera_that_looks_along_the_baseline_stays_small() -> None:
+    # A strip around the epipole: the disk of equal angles that holds it has 15 times its pixels.
+    left, right = EYES[0].projection(), camera(-8.0, (160, 8))
+    right = right.model_copy(update={"pose": LookAt(origin_mm=(-7.9, 2.0, 20.0))})
+    baseline = CameraBaseline.of(left, right.projection())
+    planes = baseline.angles(left.rays(left.pixel_centres())[1])[0]
+    grid = EpipolarGrid.of(baseline, right.projection(), {"column": np.zeros((8, 160))}, planes)
+    assert grid.plane_rad.size * grid.along_rad.size <= 4 * 8 * 160
 
 
 def test_stacks_of_different_patterns_are_refused() -> None:

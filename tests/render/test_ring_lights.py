@@ -74,7 +74,9 @@ print(json.dumps({"copper": reflectance("Cu"), "gold": reflectance("Au")}))
 
 
 def test_copper_and_gold_have_the_reflectances_of_mitsubas_metals() -> None:
-    run = subprocess.run([sys.executable, "-c", MITSUBA], capture_output=True, check=True, text=True)
+    run = subprocess.run(
+        [sys.executable, "-c", MITSUBA], capture_output=True, check=True, text=True
+    )
     for name, wanted in json.loads(run.stdout).items():
         metal = LIBRARY[name]
         assert isinstance(metal, Conductor)
