@@ -243,9 +243,10 @@ def phase_variance(
 
 
 def weights(phasor: Complex, chip: Complex, counted: Mask, kernel: Floats | None) -> Floats:
-    """How much each pixel's variances across and along its phasor add to the sum of phase variances of the `counted` pixels.
+    """How much each pixel's variances across and along its phasors add to the sum of phase variances of the `counted` pixels.
 
-    (2, row, col), in 1 / power. `chip` are the phasors behind the lens; the kernel is None without one.
+    (2, projector, row, col), in 1 / power. `phasor` and `counted`, (projector, row, col), are of light that each projector
+    measures by, `chip` (row, col) the phasors behind the lens; the kernel is None without one.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         own = np.where(counted, 1.0 / np.abs(chip) ** 2, 0.0)

@@ -65,9 +65,11 @@ class Pilot:
     counted: Mask
     """These, and pixels that may be found to be such when their light is better known."""
     phasor: Complex
-    """Of the projector that measures the pixel, any unit."""
+    """Of each projector, (projector, row, col), any unit."""
+    measures: Mask
+    """(projector, row, col) which projector measures the pixel."""
     chip: Complex
-    """The same behind the lens, as long as it may well be."""
+    """Of that projector behind the lens, as long as it may well be."""
     kernel: Floats | None
     """Of the lens, as `render.blur.point_spread.spread_kernel` has it; None: no blur."""
     indirect: tuple[Floats, Floats]
@@ -75,7 +77,7 @@ class Pilot:
     sensor_rad: Floats
     """Noise of the sensor in the phase."""
     path_variance: Floats
-    """Of one path's light across and along the phasor, same unit squared, (2, row, col)."""
+    """Of one path's light across and along each phasor, same unit squared, (2, projector, row, col)."""
     place_variance: Floats
     """Of the direct light of a block of `PILOT_PLACES` places, likewise."""
 
@@ -118,7 +120,7 @@ def blocks_needed(
     # Paths from one place share what it sees.
     places = 2.0 * np.ceil(each / (2.0 * PATHS_OF_PLACE))
     for allowed, adds in budgets.values():
-        variance = (adds * np.nan_to_num(pilot.place_variance)).sum(axis=0)
+        variance = (adds * np.nan_to_num(pilot.place_variance)).sum(axis=(0, 1))
         wanted = _places(variance, blocks, share / FIRST * allowed, power, step)
         places = np.maximum(places, wanted)
     return Blocks(
@@ -153,8 +155,8 @@ def _paths(
     for label, (allowed, adds) in budgets.items():
         inside = pilot.label == label
         some = inside & (pilot.lit | pilot.counted)
-        variance = (adds * np.nan_to_num(pilot.path_variance)).sum(axis=0)
-        adding = adds.sum(axis=0)
+        variance = (adds * np.nan_to_num(pilot.path_variance)).sum(axis=(0, 1))
+        adding = adds.sum(axis=(0, 1))
         shares, without = _shares(pilot.indirect, adding, variance, inside & pilot.counted, some)
         noisy = variance > 0.0
         cost = _Cost(variance[noisy], without[noisy], have[noisy], most_paths, errors)
@@ -191,14 +193,14 @@ class _Cost:
 
 
 def _budgets(pilot: Pilot, targets: dict[int, float]) -> dict[int, tuple[float, Floats]]:
-    """Label -> what its sum of phase variances may be, and how much those of each pixel add to it, (2, row, col)."""
+    """Label -> what its sum of phase variances may be, and how much those of each pixel add to it, (2, projector, row, col)."""
     found = {}
     for label, target in targets.items():
         inside = pilot.label == label
         scored = inside & pilot.scored
         if scored.any():
             allowed = (AIMED * target) ** 2 * float((pilot.sensor_rad[scored] ** 2).sum())
-            counted = inside & pilot.counted
+            counted = inside & pilot.counted & pilot.measures
             found[label] = allowed, weights(pilot.phasor, pilot.chip, counted, pilot.kernel)
     return found
 

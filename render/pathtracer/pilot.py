@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from render.blur.point_spread import spread_kernel
 from render.fringe_phasor import FinestFringe, finest_fringes, white_weights
-from render.light_noise import Mask, SensorNoise, chosen, sensor_noises, through
+from render.light_noise import Mask, SensorNoise, sensor_noises, through
 from render.pathtracer.block_light import BlockLight, Blocks, Images, scatter_about_direct
 from render.pathtracer.path_budget import (
     COHERENT,
@@ -117,24 +117,27 @@ def _pilot(
     strict, sensor = sensor_noises(transport, (1.0, SLACK), lit)
     fringes = finest_fringes(transport.scene.patterns, transport.bases)
     known = paths / (paths + KNOWING_PATHS)
-    phasor, indirect = [], []
+    sharp, indirect = [], []
     for p, b in enumerate(transport.bases):
         direct, total = (
             light[p, : len(b.channels)] for light in (transport.direct, transport.total)
         )
         fringe = fringes[sensor.fringe[p]]
         cosine, sine = (1.0 - known) * fringe.phasor(direct, p) + known * fringe.phasor(total, p)
-        phasor.append(cosine + 1j * sine)
+        sharp.append(cosine + 1j * sine)
         indirect.append(np.tensordot(white_weights(b), total - direct, 1))
 
     def pick(images: list[NDArray[Any]]) -> NDArray[Any]:
         return np.asarray(np.take_along_axis(np.stack(images), sensor.projector[None], axis=0)[0])
 
-    places, each = (np.stack([chosen(way, sensor) for way in part]) for part in (place, path))
-    counted = np.isfinite(sensor.phase_rad) & np.isfinite(places[0] + each[0])
+    places, each = (
+        np.stack([part[:, f, p] for p, f in enumerate(sensor.fringe)], axis=1)
+        for part in (place, path)
+    )
+    counted = np.isfinite(sensor.phase_rad + pick(list(places[0] + each[0])))
     kernel = spread_kernel(transport.scene.sensor)
-    sharp: NDArray[np.complex128] = pick(phasor)
-    chip = sharp if kernel is None else through(sharp, kernel)
+    # What a lens blurs is the light of one projector.
+    chip = pick(sharp if kernel is None else [through(z, kernel) for z in sharp])
     light = smooth_indirect(pick(indirect).astype(np.float64), transport.label)
     # Indirect light that is not known yet adds to the modulation, too.
     size = np.abs(chip)
@@ -144,7 +147,8 @@ def _pilot(
         np.asarray(lit.any(axis=0)),
         counted & np.isfinite(strict.phase_rad),
         counted,
-        sharp,
+        np.stack(sharp),
+        np.arange(len(sharp))[:, None, None] == sensor.projector,
         np.where(size > 0.0, chip / np.maximum(size, 1e-300), 1.0) * longer,
         kernel,
         light,
