@@ -8,15 +8,17 @@ import numpy as np
 import pytest
 
 from decode.checks.stack_check import check
-from scenes.acquisition.patterns import Frame, PhaseShift
+from scenes.acquisition.patterns import Frame, GrayBits, PhaseShift
 from scenes.acquisition.sensor import SimpleSensor
 from scenes.files.stack import Stack
 
 PERIODS = (16.0, 120.0, 1024.0)
 
 
-def taken(steps: int, periods_px: tuple[float, ...] = PERIODS) -> Stack:
-    patterns = PhaseShift(steps=steps, periods_px=periods_px)
+def taken(
+    steps: int, periods_px: tuple[float, ...] = PERIODS, gray: GrayBits | None = None
+) -> Stack:
+    patterns = PhaseShift(steps=steps, periods_px=periods_px, gray=gray)
     y, x = np.mgrid[:90, :200] + 0.5
     column = 3.0 * x + 20.0 + 20.0 * np.exp(-((x - 90.0) ** 2 + (y - 45.0) ** 2) / 900.0)
     light = np.stack([patterns.commanded(f, column) for f in patterns.frames()])
@@ -56,6 +58,15 @@ def test_message_names_the_value_that_fits(
     wrong = stated(taken(steps), change, period_px)
     messages = [f.message for f in check(wrong).findings if f.name == "columns, agreement"]
     assert said in messages[0]
+
+
+def test_fringes_of_one_period_are_named_by_it_once() -> None:
+    stack = taken(4, (16.0,), GrayBits(bits=8, cell_px=4.0))
+    wrong = stated(stack, lambda f: f.phase_shift_rad + np.pi, 16.0)
+    (message,) = [f.message for f in check(wrong).findings if f.name == "columns, agreement"]
+    assert (
+        message.count("180 more than now") == message.count("of the column fringes of 16 px") == 1
+    )
 
 
 def stated_period(stack: Stack, period_px: float, other_px: float) -> Stack:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from decode.checks.fringe_check import misfit
-from decode.phase.gamma import Harmonics, _from_histogram, harmonics, response
+from decode.phase.gamma import Harmonics, _from_histogram, estimate, harmonics, response
 from decode.phase.n_step import fringe_sets
 from scenes.acquisition.patterns import PhaseShift
 from scenes.acquisition.sensor import SimpleSensor
@@ -40,6 +40,22 @@ def test_error_of_the_phases_histogram_is_that_of_a_complex_mean() -> None:
     scatter = np.std([h.second for h in found]) / np.mean([h.error for h in found])
     # 100 draws know a standard deviation to 7 %.
     assert scatter == pytest.approx(np.sqrt(0.5), rel=0.25)
+
+
+def test_sets_of_fringes_count_by_the_inverse_of_their_variance() -> None:
+    rng = np.random.default_rng(0)
+    patterns = PhaseShift(steps=4, periods_px=(16.0, 128.0))
+    phase = rng.uniform(0.0, 2.0 * np.pi, (50, 80))
+    light = [(0.5 + 0.45 * np.cos(phase + f.phase_shift_rad)) ** 1.2 for f in patterns.frames()]
+    # A quarter of the fringes' contrast, so that one set knows gamma worse.
+    light[4:] = [0.4 + 0.25 * (one - 0.4) for one in light[4:]]
+    frames = 20.0 + 200.0 * np.array(light) + rng.standard_normal((8, 50, 80))
+    sensor = SimpleSensor(sigma_dn=1.0, bits=0, black_level_dn=20.0)
+    stack = Stack(frames[None].astype(np.float32), patterns.frames(), (1.0,), sensor)
+    found = [harmonics(stack, one) for one in fringe_sets(patterns.frames(), 0)["column"]]
+    weight = np.array([h.error for h in found]) ** -2.0
+    assert weight.max() > 4.0 * weight.min()
+    assert estimate(stack) == pytest.approx(weight @ [h.gamma for h in found] / weight.sum())
 
 
 def test_misfit_is_what_noise_and_gamma_do_not_explain() -> None:

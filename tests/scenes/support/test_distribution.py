@@ -43,6 +43,11 @@ def test_draws_follow_the_stated_law(quantity: Quantity, law: stats.rv_continuou
     assert low <= min(values) <= max(values) <= high
 
 
+def test_range_of_choices_is_that_of_their_numbers() -> None:
+    assert value_range(Choice(values=(3, -1.5, 2.0))) == (-1.5, 3.0)
+    assert np.isnan(value_range(Choice(values=(3, "a")))).all()
+
+
 def test_choices_are_drawn_by_weight() -> None:
     choice = Choice(values=("a", [1, 2], 3.0), weights=(1.0, 2.0, 5.0))
     rng = np.random.default_rng(1)
