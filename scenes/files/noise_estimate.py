@@ -7,6 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy import special
 
 from scenes.acquisition.fringe_fit import fringe_design, fringe_solution
 from scenes.acquisition.patterns import Frame
@@ -102,9 +103,8 @@ def _left_by_neighbours(planes: NDArray[Any], saturation_dn: float) -> float | N
     clear = power > VARIED * left
     if clear.sum() < FEWEST_PIXELS:
         return None
-    # Median of chi square (Wilson & Hilferty 1931): edges are above it.
-    middle = free_numbers * (1.0 - 2.0 / (9.0 * free_numbers)) ** 3
-    return float(np.sqrt(np.median(left[clear]) / middle))
+    # The median of chi square, because edges are above it.
+    return float(np.sqrt(np.median(left[clear]) / special.chdtri(free_numbers, 0.5)))
 
 
 def _bright(levels: NDArray[Any]) -> float:

@@ -142,6 +142,19 @@ def test_grid_of_a_camera_that_looks_along_the_baseline_stays_small() -> None:
     assert grid.plane_rad.size * grid.along_rad.size <= 4 * 8 * 160
 
 
+def test_candidate_has_the_other_coordinate_of_its_place_on_the_line() -> None:
+    column = np.arange(0.0, 60.0, 3.0)
+    maps = {"column": np.tile(column, (4, 1)), "row": np.tile(5.0 * column, (4, 1))}
+    angles = np.linspace(0.5, 0.6, column.size)
+    baseline = CameraBaseline.of(EYES[0].projection(), EYES[1].projection())
+    grid = EpipolarGrid(baseline, np.linspace(0.0, 0.3, 4), angles, maps)  # type: ignore[arg-type]
+    wanted = np.random.default_rng(0).uniform(0.0, 50.0, 30)
+    pixel, along, others = grid.candidates("column", np.full(30, 0.1), wanted, 0.0)
+    assert sorted(pixel) == list(range(30))
+    np.testing.assert_allclose(others["row"], 5.0 * wanted[pixel], atol=1e-9)
+    np.testing.assert_allclose(along, np.interp(wanted[pixel], column, angles), atol=1e-9)
+
+
 def test_stacks_of_different_patterns_are_refused() -> None:
     left, _ = look(EYES[0], BOTH, 0.0, 0)
     right, _ = look(EYES[1], BOTH.model_copy(update={"steps": 3}), 0.0, 0)

@@ -1,5 +1,6 @@
 """Reflection, edges and integration on surfaces known in closed form: rays are mirrored by formulas of the test's own."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy import stats
 from decode import Reason
 from decode.deflectometry.edges import mostly_outside, near_edges, shift_px
 from decode.deflectometry.integration import Integration, Patches
+from decode.deflectometry.mirror import _in_volume
 from decode.deflectometry.mirror_surface import integrated, two_positions
 from decode.deflectometry.reflection import (
     Looks,
@@ -204,3 +206,12 @@ def test_edge_moves_a_blurred_pixel_to_the_centre_of_its_visible_part(edge: floa
     np.testing.assert_allclose(right[inner], (moved * difference)[inner], rtol=0.01)
     # Gradients that noise may make count as none.
     assert not shift_px(light, np.full_like(light, 10.0), near, lens).any()
+
+
+def test_heights_beyond_a_twentieth_of_the_range_are_out_of_the_volume() -> None:
+    height = np.array([9.85, 9.95, 11.0, 12.05, 12.15])
+    found = SimpleNamespace(height_mm=height, reason=np.full(5, Reason.OK))
+    stack = SimpleNamespace(calibration=SimpleNamespace(height_range_mm=(10.0, 12.0)))
+    reason = _in_volume(found, stack, SimpleNamespace(height_range_mm=None))  # type: ignore[arg-type]
+    outside, ok = Reason.OUT_OF_VOLUME, Reason.OK
+    np.testing.assert_array_equal(reason, [outside, ok, ok, ok, outside])

@@ -327,3 +327,15 @@ def test_override_of_the_stopping_rule_replaces_the_scenes() -> None:
     assert scenes.parse(text).sampling.render_noise == 0.5
     assert scenes.parse(text, {"sampling.samples": 8}).sampling.render_noise is None
     assert scenes.parse(text, {"sampling.phase_error_rad": 0.1}).sampling.render_noise is None
+
+
+def test_blocks_of_later_stages_have_random_numbers_of_their_own() -> None:
+    entry, number = np.arange(3), np.array([4, 5, 7], np.uint32)
+    first = np.array([0, 10, 30], np.uint32)
+    blocks = Blocks(entry.astype(np.uint32), number, number, number, first)
+    more = blocks.more(entry, number)
+    np.testing.assert_array_equal(more.first, first + number)
+    halves = blocks.halved()
+    np.testing.assert_array_equal(halves.first[::2], first)
+    # No pixel has as many blocks as the numbers of its halves are apart.
+    assert (halves.first[1::2] - first >= 1 << 24).all()

@@ -1,5 +1,7 @@
 """Gray code and unequal steps as patterns: what is commanded, and that a basis of tables makes it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -18,6 +20,16 @@ def test_gray_code_of_neighbours_differs_in_one_bit_and_decodes_to_its_cell(cell
     assert (np.abs(np.diff(bits, axis=1)).sum(axis=0) == 1).all()
     binary = np.cumsum(bits, axis=0) % 2
     assert ((binary * 2.0 ** np.arange(6, -1, -1)[:, None]).sum(axis=0) == cells).all()
+
+
+def test_phase_of_a_gray_code_moves_its_cells_as_that_of_fringes_moves_them() -> None:
+    column = np.arange(0.5, 200.0)
+    for frame in GrayCode(bits=(5,), cell_px=8.0).frames():
+        later = replace(frame, phase_shift_rad=frame.phase_shift_rad + np.pi / 2)
+        np.testing.assert_array_equal(later.commanded(column), frame.commanded(column + 2.0))
+    fringe = PhaseShift(steps=4, periods_px=(8.0,)).frames()[0]
+    later = replace(fringe, phase_shift_rad=fringe.phase_shift_rad + np.pi / 2)
+    np.testing.assert_allclose(later.commanded(column), fringe.commanded(column + 2.0), atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", [{}, {"gamma": 2.2}, {"bits": 8, "contrast": 0.8}])

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import shapely
 import trimesh
+from scipy import special
 
 from scenes.board.pad_layout import area_ratio, disk
-from scenes.board.paste import Form, Paste, deposit
+from scenes.board.paste import Form, Paste, _waves, deposit
 from scenes.board.transfer import Transfer
 from scenes.shapes.heightfield import Heightfield
 from scenes.shapes.tessellation import tessellate
@@ -104,6 +105,22 @@ def test_roughness_has_the_stated_amplitude() -> None:
     # Over 0.5 x 0.3 mm each deposit shows some 7 independent lumps: 40 of them give the variance to sqrt(2 / 280),
     # of which five standard errors are allowed; the mean's removal takes up to 1/7 of it.
     assert 0.05**2 * (1 - 1 / 7 - 0.42) < np.mean(sds) < 0.05**2 * 1.42
+
+
+def test_roughness_is_correlated_over_its_wavelength() -> None:
+    # Plane waves of even direction are correlated as J0(2 pi r / wavelength) over a distance r; their lengths spread evenly.
+    wavelength, apart, seeds = 0.2, 0.05, 300
+    spread = np.linspace(0.4, 1.6, 200)
+    wanted = special.j0(2.0 * np.pi * spread * apart / wavelength).mean()
+    places = np.random.default_rng(0).uniform(0.0, 5.0, (100, 2))
+    pairs = np.vstack([places, places + np.array([apart, 0.0])])
+    found = np.array(
+        [_waves(pairs, wavelength, np.random.default_rng(seed)) for seed in range(seeds)]
+    )
+    for product, mean in ((found[:, :100] * found[:, 100:], wanted), (found[:, :100] ** 2, 1.0)):
+        each = product.mean(axis=1)
+        # One correct run in 10^5 fails.
+        assert abs(each.mean() - mean) < 4.4 * each.std() / np.sqrt(seeds)
 
 
 def test_grain_relief_is_below_one_grain() -> None:
