@@ -44,6 +44,8 @@ class Guide:
     """(tile, entry): a cell, the first of its entries << 10 and their number << 20, UInt32."""
     counts: Any
     """(tile, cell): number of a cell's entries, UInt32."""
+    pairs: bool = False
+    """Whether lit vertices bring their fellows (`render.pathtracer.fringe_pairs`)."""
 
     def tile(self, row: Any, column: Any) -> Any:
         """Number of the tile that holds a pixel."""
@@ -67,6 +69,12 @@ class Guide:
         at = tile * CELLS + row * COLUMNS + column
         count = dr.gather(mi.UInt32, self.counts, at, active & (way.z > 0))
         return mi.Float(count) * (CELLS / (2 * np.pi * ENTRIES))
+
+    def towards(self, si: Any, way: Any, tile: Any, aimed: Any, active: Any) -> tuple[Any, Any]:
+        """BSDF times cosine in a direction of the world, and its density if that share is `aimed`, the rest left to the BSDF."""
+        value, likely = si.bsdf().eval_pdf(mi.BSDFContext(), si, si.to_local(way), active)
+        table = self.density(tile, axes(si).to_local(way), active & (aimed > 0))
+        return value.x, dr.fma(aimed, table, (1 - aimed) * likely)
 
 
 def direction(cell: Any, inside: Any) -> Any:

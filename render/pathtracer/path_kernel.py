@@ -8,14 +8,17 @@ directions that `render.pathtracer.guide` has learnt, later ones by their BSDF.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from render.pathtracer import sampling
+from render.pathtracer.fringe_pairs import paired
 from render.pathtracer.guide import AIMED, GROUP, Guide, axes
 from render.plugins.lens import Optics
+from render.plugins.projector_light import Light
 from render.plugins.screen_light import Lights
 from render.plugins.variant import dr, mi
 
@@ -210,7 +213,9 @@ class Pass:
 
     def _path(self, si: Any, plan: LanePlan, number: Any) -> tuple[list[Any], Any]:
         """Channels of a path's vertices after its first one `si`, and its ambient radiance."""
-        ray, weight = self._leave(si, plan, number)
+        ray, weight, likely = self._leave(si, plan, number)
+        # Where a path came from: a surface, the light it carried to there, and the density of its way on.
+        came = (si, mi.Float(1), likely) if self.guide.pairs else ()
 
         def draw(dimension: Any) -> Any:
             return sampling.point(plan.key, mi.UInt32(dimension), number)
@@ -218,7 +223,9 @@ class Pass:
         deepest = dr.opaque(mi.UInt32, self.depth)
         later = [mi.Float(0) for light in self.lights for _ in light.channels]
 
-        def bounce(vertex: Any, active: Any, onward: Any, later: Any, sky: Any) -> tuple[Any, ...]:
+        def bounce(
+            vertex: Any, active: Any, onward: Any, came: Any, later: Any, sky: Any
+        ) -> tuple[Any, ...]:
             ray, weight = onward
             si = self._intersect(ray, coherent=False, active=active)
             if self.ambient is not None:
@@ -227,7 +234,9 @@ class Pass:
             # Pairs of dimensions: the pixel's, the camera's pupil, one for each projector's, two to leave the
             # first vertex. A later vertex has one for each projector's pupil, then which lobe and where to.
             dimension = 4 + len(self.lights) + (vertex - 1) * (2 + len(self.lights))
-            gains = self._gains(si, weight, draw, dimension, active)
+
+            pairs = self._pairs(plan, vertex, ray, si, came) if came else None
+            gains = self._gains(si, weight, draw, dimension, active, pairs)
             later = [a + b for a, b in zip(later, gains, strict=True)]
             vertex = vertex + 1
             if self.ambient is None:
@@ -236,23 +245,41 @@ class Pass:
             sample, onward = si.bsdf().sample(
                 mi.BSDFContext(), si, draw(dimension).x, draw(dimension + 1), active
             )
-            weight = weight * onward.x
+            before, weight = weight, weight * onward.x
             if self.depth > DEEPEST_CUT:
                 survives = dr.select(vertex >= ROULETTE_FROM, dr.minimum(weight, SURVIVES), 1)
                 weight = dr.select(draw(dimension).y < survives, weight / survives, 0)
+                before /= survives
             ray = si.spawn_ray(si.to_world(sample.wo))
-            return vertex, active & (weight > 0), (ray, weight), later, sky
+            delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+            came = (si, before, dr.select(delta, 0, sample.pdf)) if came else ()
+            return vertex, active & (weight > 0), (ray, weight), came, later, sky
 
         *_, later, sky = dr.while_loop(
-            (mi.UInt32(1), weight > 0, (ray, weight), later, mi.Float(0)),
+            (mi.UInt32(1), weight > 0, (ray, weight), came, later, mi.Float(0)),
             lambda vertex, active, *_: active,
             bounce,
             label="bounces",
         )
         return later, sky
 
-    def _leave(self, si: Any, plan: LanePlan, number: Any) -> tuple[Any, Any]:
-        """Ray away from a first vertex, and the path's weight along it: by the BSDF, or from the learnt directions."""
+    def _pairs(
+        self, plan: LanePlan, vertex: Any, ray: Any, si: Any, came: Any
+    ) -> Callable[..., Any]:
+        """Makes of a light's direct light at `si` that of a pair."""
+        start, before, likely = came
+
+        def leave(way: Any, active: Any) -> tuple[Any, Any]:
+            aimed = dr.select(vertex == 1, plan.aimed, 0)
+            value, density = self.guide.towards(start, way, plan.tile, aimed, active)
+            return before * value, density
+
+        return partial(paired, self.scene, leave=leave, ray=ray, density=likely, si=si)
+
+    def _leave(self, si: Any, plan: LanePlan, number: Any) -> tuple[Any, Any, Any]:
+        """Ray away from a first vertex, by the BSDF or in a learnt direction, the path's weight along it, and the direction's
+        density, 0 for a mirror's.
+        """
         turn = number % GROUP
         aimed = turn >= plan.of_plain
         # Each of the two counts its own paths, so that each is stratified.
@@ -274,10 +301,12 @@ class Pass:
         # No table holds a mirror's one direction.
         delta = ~aimed & mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
         weight = dr.select(delta, onward.x / plain, dr.select(value > 0, value / mixed, 0))
-        return si.spawn_ray(world), weight
+        return si.spawn_ray(world), weight, dr.select(delta, 0, mixed)
 
-    def _gains(self, si: Any, weight: Any, draw: Draw, dimension: Any, active: Any) -> list[Any]:
-        """What every projector's channels add at a vertex."""
+    def _gains(
+        self, si: Any, weight: Any, draw: Draw, dimension: Any, active: Any, pairs: Any = None
+    ) -> list[Any]:
+        """What every projector's channels add at a vertex; `pairs` adds those of its fellow."""
         gains: list[Any] = []
         for p, light in enumerate(self.lights):
 
@@ -285,6 +314,8 @@ class Pass:
                 return draw(first + number * FURTHER)
 
             found = light.arrive(self.scene, si, own, active, weight)
+            if pairs is not None and isinstance(light, Light) and light.halves is not None:
+                found = pairs(light, found=found[0])
             each = [
                 [radiance * v for v in light.channel_values(pixel, lit)]
                 for radiance, pixel, lit in found

@@ -45,7 +45,7 @@ class Optics:
             if self.lens is not None:
                 origin = self._pupil(lens_sample)
                 direction = direction * self.focus - origin
-        return self.to_world(origin), self._turn_back(dr.normalize(direction))
+        return self.to_world(origin), self.turn_back(dr.normalize(direction))
 
     def light_source(self, local: Any, lens_sample: Any) -> Any:
         """Point of the device's plane z = 0 from which light reaches the point `local`, both in the device's frame."""
@@ -77,7 +77,7 @@ class Optics:
 
     def axis(self) -> Any:
         """Unit viewing direction in the world."""
-        return self._turn_back(mi.Vector3f(0, 0, 1))
+        return self.turn_back(mi.Vector3f(0, 0, 1))
 
     def to_local(self, point: Any) -> Any:
         """World point in the device's frame."""
@@ -85,9 +85,10 @@ class Optics:
 
     def to_world(self, local: Any) -> Any:
         """Device point in the world."""
-        return mi.Point3f(self._turn_back(mi.Vector3f(local - self.translation)))
+        return mi.Point3f(self.turn_back(mi.Vector3f(local - self.translation)))
 
-    def _turn_back(self, direction: Any) -> Any:
+    def turn_back(self, direction: Any) -> Any:
+        """Direction in the device's frame in the world."""
         return self.rotation.T @ mi.Vector3f(direction)
 
     def _pupil(self, lens_sample: Any) -> Any:

@@ -93,6 +93,7 @@ class Light(Patterned):
             strength *= projector.reference_mm**2
         self.strength = dr.opaque(mi.Float, strength)
         super().__init__(projector, channels)
+        self.halves = self._halves()
 
     def connect(self, point: Any, lens_sample: Any) -> tuple[Any, Any, Any, Any]:
         """Light that reaches a world point, without regard to shadows.
@@ -119,6 +120,50 @@ class Light(Patterned):
         lit &= value > 0
         lit &= ~scene.ray_test(si.spawn_ray_to(source), lit)
         return [(dr.select(lit, weight * value * irradiance, 0), pixel, lit)]
+
+    def fellow(self, point: Any) -> Any:
+        """Ray of the light half a fringe from that of a world point, in the world; twice is back again."""
+        assert self.halves is not None
+        at = self.optics.to_local(point)
+        if not self.optics.telecentric:
+            at /= at.z
+        moved = []
+        for u, half in zip((at.x, at.y), self.halves, strict=True):
+            odd = (mi.Int32(dr.floor(u / half)) & 1) == 1 if half is not None else False
+            moved.append(u if half is None else u + dr.select(odd, -half, half))
+        start, way = mi.Point3f(0), dr.normalize(mi.Vector3f(*moved, 1))
+        if self.optics.telecentric:
+            start, way = mi.Point3f(*moved, 0), mi.Vector3f(0, 0, 1)
+        return mi.Ray3f(self.optics.to_world(start), self.optics.turn_back(way))
+
+    def half_fringe(self, point: Any) -> Any:
+        """Half a fringe's width across the light at a world point, mm."""
+        assert self.halves is not None
+        width = dr.sqrt(sum(half * half for half in self.halves if half is not None))
+        return width if self.optics.telecentric else width * self.optics.to_local(point).z
+
+    def per_lens_area(self, si: Any, way: Any) -> Any:
+        """Area across `way` for one of lens coordinates that light a surface point, times a constant."""
+        local = self.optics.to_local(si.p)
+        to_source = self.optics.to_world(self.optics.light_source(local, None)) - si.p
+        area = dr.abs(dr.dot(si.n, way) / dr.dot(si.n, dr.normalize(to_source)))
+        return area if self.optics.telecentric else area * local.z**3 / dr.norm(local)
+
+    def _halves(self) -> tuple[Any, Any] | None:
+        """Half a finest fringe along both axes, in lens coordinates, None along one without; none of both: no pairs.
+
+        Nor behind a thin lens, through which a pixel lights many points.
+        """
+        finest: dict[str, float] = {}
+        for channel in self.channels:
+            if channel.kind in ("cos", "sin"):
+                known = finest.get(channel.axis, channel.period_px)
+                finest[channel.axis] = min(known, channel.period_px)
+        if not finest or self.optics.lens is not None:
+            return None
+        x, y = (dr.opaque(mi.Float, finest.get(axis, 0.0) / 2) for axis in ("column", "row"))
+        focal = self.optics.focal
+        return x / focal.x if "column" in finest else None, y / focal.y if "row" in finest else None
 
     def response(self, local: Any, source: Any) -> tuple[Any, Any, Any]:
         """Irradiance of white, pixel, and whether it exists, for a point and a source in the projector's frame."""

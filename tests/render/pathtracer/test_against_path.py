@@ -38,6 +38,13 @@ CASES = {
         pinhole_projector(field_mm=120.0, distortion=DISTORTION),
     ),
     "interreflection": scene(pinhole(), pinhole_projector(), objects=groove(), depth=6),
+    "two axes": scene(
+        telecentric(),
+        telecentric_projector(),
+        objects=groove(),
+        depth=4,
+        patterns={"axes": ("column", "row")},
+    ),
     "translucent": scene(pinhole(), pinhole_projector(), objects=resin(), depth=6),
     "mirror": scene(pinhole(), pinhole_projector(), objects=board("mirror"), depth=4, ambient=2.0),
     "tables": scene(
