@@ -102,3 +102,13 @@ def test_pixels_of_bare_pads_are_as_high_as_the_dome() -> None:
     assert maps.pad is not None and set(np.unique(maps.pad[inner])) == set(range(1, 10))
     height = 0.04 + HEIGHT_MM * (1 - (r[inner] / 0.25) ** 2)
     assert np.allclose(maps.height_mm[inner], height, atol=5e-3 * HEIGHT_MM)
+
+
+def test_copper_at_a_hole_or_under_residue_stays_flat() -> None:
+    drilled = {"drilled": [{"position_mm": [0.0, 0.0], "diameter_mm": 0.2}]}
+    holed = board(BALLS, dome_mm=HEIGHT_MM).model_dump() | {"holes": drilled}
+    of = ParametricBoard.model_validate(holed)
+    assert sorted(d.pad for d in domes(of, printed(of).layout)) == [1, 2, 3, 4, 6, 7, 8, 9]
+    spilt = {"residue": {"probability": 1.0, "distance": 0.0, "radius_mm": 0.2}}
+    of = ParametricBoard.model_validate(holed | {"holes": None, "defects": spilt})
+    assert domes(of, printed(of).layout) == []
