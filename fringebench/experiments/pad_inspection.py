@@ -117,8 +117,8 @@ def pad_budget(
     2 um; what is left is the rig's own, pixels and shadows. Then one at a time: ``one projector`` (where the scene has
     more), ``metal`` (the board's real materials), ``grains``, ``interreflection``, ``noise``, ``threshold`` (40 um), and those causes of `budget` that are of
     `DEVICES` and that the scene has; ``render-noise``, drawn for each pixel with the deviation that the light of ``all`` states; ``metal,
-    interreflection`` together, which do what neither does alone: metal throws light onto its neighbours; and
-    ``all`` of them but the single projector. The deposits are the same throughout, and so is their truth.
+    interreflection`` together, which do what neither does alone: metal throws light onto its neighbours; these and ``grains``, whose dark
+    walls it outshines; and ``all`` of them but the single projector. The deposits are the same throughout, and so is their truth.
 
     Raises `SceneError` for a scene without a board, `ScoreError` where it has no pad of 0.3 mm.
     """
@@ -164,12 +164,13 @@ def pad_budget(
     if len(scene.projectors) > 1:
         rows["one projector"] = errors("one projector")
     rows |= {cause: errors(cause) for cause in causes}
-    together, everything = errors("metal", "interreflection"), errors(*causes)
+    together = (("metal", "interreflection"), ("metal", "grains", "interreflection"))
+    groups = {", ".join(group): errors(*group) for group in together} | {"all": errors(*causes)}
     light = lights[frozenset(causes) & optics]
     scatter_mm = render.truth(light.scene, light).render_noise_mm
     if scatter_mm is not None:
         rows[RENDER_NOISE] = errors(scatter_mm=scatter_mm)
-    return rows | {"metal, interreflection": together, "all": everything}
+    return rows | groups
 
 
 def gauge(
