@@ -27,7 +27,7 @@ from benchmarks.light import Path, scene, seeds, tracing
 from benchmarks.result import Result, Target, main
 from benchmarks.turns import Turns, take_turns
 
-TARGETS = {"multijitter": 20.0, "independent": 100.0}
+TARGETS = {"multijitter": 60.0, "independent": 100.0}
 STEPS = 4
 WINDOW = 9
 # Float32 holds a point 300 mm away to 3e-5 mm.
