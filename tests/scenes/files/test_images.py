@@ -20,6 +20,9 @@ def test_tiff_of_two_pages_is_refused(tmp_path: Path) -> None:
     assert (images.read([plane])[0] == page).all()
     with pytest.raises(FileError, match="has 2 pages"):
         images.read([plane._replace(path=two)])
+    # A file is what it holds, whatever its name.
+    one.write_bytes(cv2.imencode(".bmp", page.astype(np.uint8))[1].tobytes())
+    assert (images.read([plane])[0] == page).all()
 
 
 def test_more_exposures_than_an_index_of_8_bits_are_refused() -> None:

@@ -87,7 +87,9 @@ def test_quantity_that_could_leave_its_range_is_refused(value: object, message: 
     assert message in str(caught.value)
 
 
-def test_fraction_above_one_is_refused() -> None:
+def test_fraction_may_be_from_zero_to_one_and_no_more() -> None:
+    whole = Uniform(low=0.0, high=1.0)
+    assert TypeAdapter(Fraction).validate_python(whole) == whole
     with pytest.raises(ValidationError, match="0 to 1 is allowed"):
         TypeAdapter(Fraction).validate_python(1.2)
 
