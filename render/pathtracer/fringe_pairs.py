@@ -48,7 +48,10 @@ def paired(
     # From the fellow to where the path's ray began, just off both surfaces: neither shades itself.
     both &= ~scene.ray_test(other.spawn_ray_to(ray.o), both)
     own = density * light.per_lens_area(si, ray.d) / dr.square(si.t)
-    others = likely * light.per_lens_area(other, way) / dr.square(distance)
-    share = dr.select(both, own / (own + others), 1)
-    more = dr.select(both, carried / likely * back * irradiance * (1 - share), 0)
+    area = light.per_lens_area(other, way) / dr.square(distance)
+    whole = dr.fma(likely, area, own)
+    both &= dr.isfinite(whole) & (whole > 0)
+    share = dr.select(both, own / whole, 1)
+    # Never divided by the fellow's own density, which may be too small for that.
+    more = dr.select(both, carried * back * irradiance * area / whole, 0)
     return [(radiance * share, pixel, lit), (more, further, both)]

@@ -69,7 +69,7 @@ def test_causes_of_an_unsaturated_scene_interact_little() -> None:
     ("cause", "name", "overrides", "label"),
     [
         ("gamma", "step", {**PLAIN, "sensor.sigma_dn": 0.5, "projectors.0.gamma": 2.2, "patterns.steps": 3}, "base"),
-        ("render-noise", "interreflection", {**SMALL, "sampling.samples": 64, "sensor.psf": "none"}, "left"),
+        ("render-noise", "interreflection", {**SMALL, "sampling.samples": 8, "sensor.psf": "none"}, "left"),
         ("quantisation", "step", {**PLAIN, "sensor.bits": 4, "sensor.sigma_dn": 0.01, "exposures.auto.level_dn": 6.0}, "base"),
     ],
 )  # fmt: skip
