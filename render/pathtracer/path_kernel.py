@@ -208,7 +208,7 @@ class Pass:
         if self.footprint is not None:
             within = (within - 0.5) * self.footprint + 0.5
         pupil = None if self.camera.lens is None else draw(1)
-        si = self._intersect(mi.Ray3f(*self.camera.ray(corner + within, pupil)), True, True)
+        si = self._intersect(mi.Ray3f(*self.camera.ray(corner + within, pupil)), True)
         return si, self._gains(si, mi.Float(1), draw, 2, si.is_valid())
 
     def _path(self, si: Any, plan: LanePlan, number: Any) -> tuple[list[Any], Any]:
@@ -227,7 +227,7 @@ class Pass:
             vertex: Any, active: Any, onward: Any, came: Any, later: Any, sky: Any
         ) -> tuple[Any, ...]:
             ray, weight = onward
-            si = self._intersect(ray, coherent=False, active=active)
+            si = self._intersect(ray, active)
             if self.ambient is not None:
                 sky = dr.select(active & ~si.is_valid(), dr.fma(weight, self.ambient, sky), sky)
             active = active & si.is_valid() & (vertex < deepest)
@@ -323,5 +323,6 @@ class Pass:
             gains += [sum(values[1:], values[0]) for values in zip(*each, strict=True)]
         return gains
 
-    def _intersect(self, ray: Any, coherent: bool, active: Any) -> Any:
-        return self.scene.ray_intersect(ray, mi.RayFlags.All, coherent, active)
+    def _intersect(self, ray: Any, active: Any) -> Any:
+        # Not as coherent packets: at an edge their hits depend on the other rays, so on how lanes were cut into chunks.
+        return self.scene.ray_intersect(ray, mi.RayFlags.All, False, active)

@@ -1,6 +1,7 @@
 """Tracing to a share of the sensor's noise: the noise stated is the scatter between seeds, and nothing is biased."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import render
 import scenes
 from render.fringe_phasor import finest_fringes
 from render.light_noise import SensorNoise, sensor_noise
-from render.pathtracer import block_light
+from render.pathtracer import block_light, until_quiet
 from render.pathtracer.block_light import BlockLight, Blocks
 from render.pathtracer.cut_light import cut_to_sensor_noise, judged_pixels
 from render.pathtracer.path_budget import (
@@ -228,6 +229,26 @@ def test_same_seed_gives_the_same_bits_however_lanes_are_cut(
     assert again.noise_rad is not None
     np.testing.assert_array_equal(once.noise_rad, again.noise_rad)
     assert (once.total != other.total).mean() > 0.5
+
+
+def test_block_whose_ray_meets_an_edge_is_the_same_in_any_chunk(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene = scenes.load("bench", {"camera.resolution": [320, 240]})
+    seen: list[BlockLight] = []
+
+    def pilot(*args: Any, **keys: Any) -> None:
+        seen.append(block_light.trace_blocks(*args, **keys))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(until_quiet, "trace_blocks", pilot)
+    monkeypatch.setattr(block_light, "CHUNK_S", 1e-3)
+    monkeypatch.setattr("time.process_time", lambda: 0.0)
+    for paths in (1 << 20, 77_777):
+        monkeypatch.setattr(block_light, "FIRST_CHUNK_PATHS", paths)
+        with pytest.raises(KeyboardInterrupt):
+            render.trace(scene, seed=0)
+    np.testing.assert_array_equal(seen[0].phasor, seen[1].phasor)
 
 
 def test_paths_meet_the_target_with_minimum_work_when_variances_are_known() -> None:
