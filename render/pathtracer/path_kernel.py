@@ -234,7 +234,6 @@ class Pass:
             # Pairs of dimensions: the pixel's, the camera's pupil, one for each projector's, two to leave the
             # first vertex. A later vertex has one for each projector's pupil, then which lobe and where to.
             dimension = 4 + len(self.lights) + (vertex - 1) * (2 + len(self.lights))
-
             pairs = self._pairs(plan, vertex, ray, si, came) if came else None
             gains = self._gains(si, weight, draw, dimension, active, pairs)
             later = [a + b for a, b in zip(later, gains, strict=True)]

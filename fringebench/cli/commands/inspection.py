@@ -85,7 +85,9 @@ def pads(
         found = inspect(loaded, seed, threshold_um * 1e-3, steps=steps)
     for pads_, path in ((found.measured, output), (found.board.pads, truth)):
         if path is not None:
-            write_spi_csv(pads_, found.board, path, None, loaded.name, restart_pad_ids)
+            write_spi_csv(
+                pads_, found.board, path, panel=loaded.name, restart_pad_ids=restart_pad_ids
+            )
     answer: dict[str, Any] = {
         "threshold_um": threshold_um,
         "threshold_bias_percent": found.threshold_bias_percent,
@@ -155,7 +157,7 @@ def _capture(
 
     nominal, measured = measure_capture(scenes.Stack.read(source), artwork, threshold_um * 1e-3)
     if output is not None:
-        write_spi_csv(measured, nominal, output, None, Path(source).stem, restart)
+        write_spi_csv(measured, nominal, output, panel=Path(source).stem, restart_pad_ids=restart)
     counts = Counter(
         verdict
         for pad, true in zip(measured, nominal.pads, strict=True)
