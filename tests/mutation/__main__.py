@@ -4,11 +4,11 @@
     python -m tests.mutation --module evaluation/gate --count 50
     python -m tests.mutation --record                       record again which tests execute which lines
 
-Each change is made in a copy of the repository, where up to forty tests that execute the changed line are run, the nearest and
-fastest first, until one fails; then the slow tests near it that continuous integration runs. Which tests execute a line is
-recorded once, by one run of the quick suite, to a file outside the repository; test files that the record does not know yet come
-first, if they are near. Of a line that hundreds of tests execute, one beyond the forty may notice: run the room's tests before
-writing another. What survives is listed, unless ``harmless.toml`` says why it changes nothing. Exit status 1 if more
+Each change is made in a copy of the repository, where tests that execute the changed line are run, the nearest first, until one
+fails; then the slow tests near it that continuous integration runs. Which tests execute a line is recorded once, by one run of
+the quick suite, to a file outside the repository; test files that the record does not know yet come first, if they are near. Of a
+line that more tests execute than run in a minute and a half, some of every file are chosen, and one left out may notice: run the
+room's tests before writing another. What survives is listed, unless ``harmless.toml`` says why it changes nothing. Exit status 1 if more
 than 5 % survive without a reason.
 """
 

@@ -8,17 +8,29 @@ import os
 from collections import defaultdict
 from collections.abc import Generator, Iterable
 from pathlib import Path
+from typing import TypedDict
 
 import coverage
 import pytest
 
 ROOMS = ("scenes", "render", "decode", "evaluation", "fringebench")
 FOLDER = "MUTATION_RECORD"
-# So many of the nearest and fastest tests are kept for a line.
-KEPT = 40
+# The tests chosen for a mutant may take so long, by the record; each at least a start's share.
+BUDGET_S, START_S = 90.0, 0.1
+# Tests taken from a file at a time: from the module's own, from its folder or of its name, from its room, from others.
+SHARES = (8, 4, 2, 1)
 
-Record = dict[str, dict[str, list[str]]]
-"""File -> text of a line -> tests or test files, nearest and fastest first."""
+
+class Record(TypedDict):
+    """Which tests execute which lines, and how long they take."""
+
+    seconds: dict[str, float]
+    """Test, or test file -> duration."""
+    tests: list[str]
+    """Tests, or test files whose fixtures execute a line."""
+    lines: dict[str, dict[str, list[int]]]
+    """File -> text of a line -> places in `tests`."""
+
 
 _SECONDS: dict[str, float] = defaultdict(float)
 _COVERAGE = coverage.Coverage(
@@ -81,19 +93,44 @@ def merged(folder: Path, root: Path) -> Record:
                 # Python numbers the end of some files as a line.
                 if line <= len(text):
                     tests[path][text[line - 1].strip()].update(filter(None, contexts))
-    return {
-        path: {line: ordered(found, path, seconds)[:KEPT] for line, found in lines.items()}
-        for path, lines in tests.items()
-    }
+    names = sorted({test for lines in tests.values() for found in lines.values() for test in found})
+    place = {name: i for i, name in enumerate(names)}
+    return Record(
+        seconds={name: round(seconds[name], 3) for name in names},
+        tests=names,
+        lines={
+            path: {line: sorted(place[test] for test in found) for line, found in lines.items()}
+            for path, lines in tests.items()
+        },
+    )
 
 
-def ordered(tests: Iterable[str], path: str, seconds: dict[str, float]) -> list[str]:
-    """Tests of the module first, then of its folder, then all others; the fast ones before the slow ones."""
-    folder = str(Path("tests") / Path(path).parent)
+def chosen(tests: Iterable[str], path: str, seconds: dict[str, float]) -> list[str]:
+    """The tests of a module to run within `BUDGET_S`: some of every file, more of the nearer ones; near files, fast tests first."""
 
-    def rank(test: str) -> tuple[int, float, str]:
-        named = Path(path).stem in Path(test.partition("::")[0]).stem
-        near = test.startswith(folder)
-        return 2 - named - near, seconds.get(test, 0.0), test
+    def distance(file: str) -> int:
+        """0 for the module's own tests, 1 for those of its folder or name, 2 for those of its room, 3 for others."""
+        named = Path(path).stem in Path(file).stem
+        near = Path(file).is_relative_to(Path("tests") / Path(path).parent)
+        same_room = Path(file).is_relative_to(Path("tests") / Path(path).parts[0])
+        return 2 - named - near if named or near else 3 - same_room
 
-    return sorted(tests, key=rank)
+    files: dict[str, list[str]] = defaultdict(list)
+    for test in sorted(set(tests), key=lambda test: (seconds.get(test, 0.0), test)):
+        files[test.partition("::")[0]].append(test)
+    rounds = sorted(
+        (i // SHARES[distance(file)], distance(file), max(seconds.get(test, 0.0), START_S), test)
+        for file, of_file in files.items()
+        for i, test in enumerate(of_file)
+    )
+    taken: dict[str, float] = {}
+    for *_, spent_s, test in rounds:
+        if not taken or sum(taken.values()) + spent_s <= BUDGET_S:
+            taken[test] = spent_s
+    # Together in a file, for the sake of its fixtures; a whole file includes its tests.
+    groups = [
+        (distance(file), [file] if file in taken else [test for test in of_file if test in taken])
+        for file, of_file in files.items()
+    ]
+    groups.sort(key=lambda group: (group[0], sum(taken[test] for test in group[1])))
+    return [test for _, group in groups for test in group]

@@ -7,7 +7,7 @@ import pytest
 
 from tests.mutation.__main__ import MODULES, modules
 from tests.mutation.mutants import mutants
-from tests.mutation.recorder import ordered
+from tests.mutation.recorder import BUDGET_S, Record, chosen
 from tests.mutation.trials import ROOT, covering, unrecorded
 
 SOURCE = '''
@@ -53,12 +53,16 @@ def test_tests_that_execute_the_changed_line_are_chosen() -> None:
     """Of a statement over several lines, and of a line that only an import executes, those of what is around it."""
     source = "LIMIT = 3\n\n\ndef f(x):\n    return max(\n        x,\n        2,\n    )\n"
     name, near, far = "tests/mutation/test_mutants.py", "a", "b"
-    known = {"m.py": {"return max(": [f"{name}::{near}", f"{name}::{far}"]}}
+    known = Record(
+        seconds={},
+        tests=[f"{name}::{near}", f"{name}::{far}", "gone.py::a"],
+        lines={"m.py": {"return max(": [0, 1]}, "n.py": {"return max(": [2]}},
+    )
     constant, function, number = mutants(source)
     for mutant in (constant, function, number):
         found = covering("m.py", mutant, source, known)
         assert found == [f"{name}::{near}", f"{name}::{far}"]
-    assert covering("m.py", number, source, {"m.py": {"return max(": ["gone.py::a"]}}) == []
+    assert covering("n.py", number, source, known) == []
 
 
 def test_files_that_the_record_does_not_know_are_found_by_name_and_import(tmp_path: Path) -> None:
@@ -83,7 +87,21 @@ def test_files_that_the_record_does_not_know_are_found_by_name_and_import(tmp_pa
     assert found == [f"tests/{name}" for name in (*named, *importing, "render/test_near.py")]
 
 
-def test_nearest_and_fastest_tests_come_first() -> None:
-    tests = ["tests/a/test_b.py::x", "tests/render/test_a.py::x", "tests/render/test_light.py::x"]
-    seconds = {tests[0]: 0.1, tests[1]: 2.0, tests[2]: 3.0}
-    assert ordered(tests, "render/light.py", seconds) == tests[::-1]
+def test_a_lines_tests_are_of_many_files_and_the_nearest_come_first() -> None:
+    """Of a thousand tests the near files give more, yet each file gives some, and no more than the time allows."""
+    own, near, far = "tests/render/test_light.py", "tests/render/test_a.py", "tests/a/test_{}.py"
+    seconds = {f"{file}::{i}": 1.0 + i / 1000 for file in (own, near) for i in range(100)}
+    seconds |= {f"{far.format(file)}::{i}": 1.0 for file in range(40) for i in range(20)}
+    found = chosen(seconds, "render/light.py", seconds)
+    files = [test.partition("::")[0] for test in found]
+    assert files.count(own) > files.count(near) > 4
+    assert set(files) == {test.partition("::")[0] for test in seconds}
+    assert found[:2] == [f"{own}::0", f"{own}::1"]
+    assert files == sorted(files, key=lambda file: (file != own, file != near, files.index(file)))
+    assert 0.9 * BUDGET_S < sum(seconds[test] for test in found) <= BUDGET_S
+
+
+def test_a_file_whose_fixture_executes_the_line_is_run_once_and_whole() -> None:
+    tests = ["tests/a/test_b.py::x", "tests/a/test_b.py"]
+    assert chosen(tests, "render/light.py", {}) == tests[1:]
+    assert chosen(tests[:1], "render/light.py", {tests[0]: 2.0 * BUDGET_S}) == tests[:1]

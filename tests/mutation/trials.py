@@ -14,11 +14,10 @@ import traceback
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import zip_longest
 from pathlib import Path
 
 from tests.mutation.mutants import Mutant
-from tests.mutation.recorder import KEPT, Record
+from tests.mutation.recorder import Record, chosen
 
 ROOT = Path(__file__).parents[2]
 # Loaded once, before the processes of the mutants are forked; Dr.Jit starts threads, and plugins of pytest's are rewritten by
@@ -61,8 +60,7 @@ def outcomes(
     for name in PRELOADED:
         __import__(name)
     waiting = [(path, mutant, False) for path, mutant in sample[::-1]]
-    all_tests = (tests for lines in known.values() for tests in lines.values())
-    recorded = frozenset(test.partition("::")[0] for tests in all_tests for test in tests)
+    recorded = frozenset(test.partition("::")[0] for test in known["tests"])
     with tempfile.TemporaryDirectory(prefix="mutation-", ignore_cleanup_errors=True) as folder:
         free = [copied(Path(folder) / str(job)) for job in range(jobs)]
         control = ["tests/evaluation/gate/test_equivalence.py"]
@@ -80,9 +78,9 @@ def outcomes(
                 if slow:
                     tests = ["-m", SLOW, *slow_files(path, copy)]
                 else:
-                    new = unrecorded(path, recorded if path in known else frozenset(), copy)
+                    old = recorded if path in known["lines"] else frozenset()
                     found = covering(path, mutant, source, known, copy)
-                    tests = [*new, *found][:KEPT]
+                    tests = [*unrecorded(path, old, copy), *chosen(found, path, known["seconds"])]
                 (copy / path).write_text(mutant.applied(source), "utf-8")
                 process = forked(copy, tests or ["--collect-only", "-m", "none"])
                 running[copy] = Trial(path, mutant, source, process, time.monotonic(), slow)
@@ -162,17 +160,15 @@ def copied(folder: Path) -> Path:
 def covering(path: str, mutant: Mutant, source: str, known: Record, root: Path = ROOT) -> list[str]:
     """Tests that execute the changed statement; of a line that only an import executes, those of the module."""
     text = source.splitlines()
-    lines = known.get(path, {})
-    found = lines.get(text[mutant.line - 1].strip()) or [
-        test
-        for line in range(*_statement(source, mutant.line))
-        for test in lines.get(text[line - 1].strip(), ())
-    ]
-    if not found:
-        # The nearest tests of each line come first.
-        ranked = zip_longest(*lines.values())
-        found = [test for same_rank in ranked for test in same_rank if test]
-    return [test for test in dict.fromkeys(found) if (root / test.partition("::")[0]).is_file()]
+    lines = known["lines"].get(path, {})
+    statement = range(*_statement(source, mutant.line))
+    found = (
+        lines.get(text[mutant.line - 1].strip())
+        or [place for line in statement for place in lines.get(text[line - 1].strip(), ())]
+        or [place for places in lines.values() for place in places]
+    )
+    names = (known["tests"][place] for place in sorted(set(found)))
+    return [name for name in names if (root / name.partition("::")[0]).is_file()]
 
 
 def slow_files(path: str, root: Path = ROOT) -> list[str]:
