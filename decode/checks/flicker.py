@@ -271,10 +271,7 @@ def _pixels(stack: Stack, fringes: FringeSet, exposure: int) -> tuple[Floats, ND
     sigma = np.sqrt(constant + slope * np.maximum(level, 0.0))
     modulation = np.hypot(cosine, sine)
     clear = (modulation > np.maximum(CLEAR * sigma, 0.05 * level)) & (level > 0.0)
-    clear &= raw.max(axis=0) < stack.saturation_dn
-    # A choice that does not depend on the phase, where it leaves enough.
-    below = clear & (level + modulation < stack.saturation_dn - stack.sensor.black_level_dn)
-    return samples, below if below.sum() > 0.2 * clear.sum() else clear
+    return samples, clear & (raw.max(axis=0) < stack.saturation_dn)
 
 
 def _error(gains: NDArray[np.float64], contrast: float, fringes: FringeSet) -> float:
