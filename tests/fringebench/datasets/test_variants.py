@@ -1,11 +1,13 @@
 """Samples that share one light, shards of whole samples, and the data card."""
 
+import io
 import json
 import tarfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import render
 from fringebench.datasets.building import build
@@ -95,6 +97,26 @@ def test_hugging_face_reads_the_shards_by_the_card(
             step_dn = sample.labels["modulation_png"]["step_dn"]
             numbers = np.asarray(row["modulation.png"])
             np.testing.assert_array_equal(numbers * step_dn, sample.modulation_dn)
+            assert json.loads(row["labels.txt"]) == sample.labels
+
+
+# The library leaves closing its shards to the collector.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_webdataset_reads_pictures_as_they_are_stored(varied: Path) -> None:
+    webdataset = pytest.importorskip("webdataset")
+    # As the how-to has it: webdataset's own decoders of pictures keep 8 bits.
+    as_stored = webdataset.handle_extension(
+        "png", lambda png: np.asarray(Image.open(io.BytesIO(png)))
+    )
+    for name in write_shards(varied):
+        split = Path(name).name.split("-")[0]
+        rows = webdataset.WebDataset(str(varied / name), shardshuffle=False).decode(as_stored)
+        for row, sample in zip(rows, Dataset(varied, split=split), strict=True):
+            np.testing.assert_array_equal(row["picture.png"], sample.picture)
+            np.testing.assert_array_equal(row["colour.png"], sample.colour)
+            step_dn = sample.labels["modulation_png"]["step_dn"]
+            assert row["modulation.png"].max() > 255
+            np.testing.assert_array_equal(row["modulation.png"] * step_dn, sample.modulation_dn)
             assert json.loads(row["labels.txt"]) == sample.labels
 
 
