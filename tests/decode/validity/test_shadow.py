@@ -104,3 +104,15 @@ def test_grid_covers_the_image_evenly(image: tuple[int, int]) -> None:
     assert len(set(at.tolist())) == at.size <= 2 * shadow.GRID_PIXELS
     for found, size in ((rows, image[0]), (columns, image[1])):
         assert abs(found.mean() - (size - 1) / 2) <= size * 0.02 + 0.5
+
+
+def test_light_near_a_pixel_is_the_mean_of_clear_pixels_around_it() -> None:
+    """Two pixels each way; at the image's borders its outermost pixels are repeated."""
+    rng = np.random.default_rng(1)
+    levels, clear = rng.uniform(size=(7, 9)).astype(np.float32), rng.uniform(size=(7, 9)) < 0.2
+    light, count = (
+        np.lib.stride_tricks.sliding_window_view(np.pad(a, 2, "edge"), (5, 5)).sum(axis=(2, 3))
+        for a in (levels * clear, clear)
+    )
+    found = shadow._light_near(levels, clear, *(i.ravel() for i in np.indices(levels.shape)))
+    np.testing.assert_allclose(found, (light / np.maximum(count, 1)).ravel(), rtol=1e-5)

@@ -283,6 +283,13 @@ def test_difference_within_the_interval_is_a_tie() -> None:
     assert [s["regions"]["base"]["best_or_tied"] for s in listed] == [True, False, True, False]
 
 
+def test_interval_of_two_repeats_is_that_of_the_cauchy_distribution() -> None:
+    """Student's t of one degree of freedom, whose quantiles are tangents; half the difference is the standard error of the mean."""
+    found = MeanInterval.of([3.0, 7.0])
+    assert found.value == 5.0
+    assert found.half_width == pytest.approx(2.0 * np.tan(np.pi * 0.95 / 2.0))
+
+
 def test_one_repeat_establishes_nothing() -> None:
     result = StrategyComparison(
         "s", 1, 0, 1, 0.1, LIMITS, (entry("a", [1.0]), entry("b", [2.0])), ()
