@@ -2,6 +2,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from evaluation.gate.equivalence import Estimate, compare, mean_square_bias
 from scenes.support.errors import ScoreError
@@ -48,6 +49,16 @@ def test_figures_without_values_are_compared_unpaired() -> None:
     new, old = Estimate(0.1, 0.1, 9), Estimate.of([0.0, 0.1, 0.2])
     for margin in (0.05, 0.5):
         assert compare(new, old, margin, paired=True) == compare(new, old, margin)
+
+
+@pytest.mark.parametrize("paired", [False, True])
+def test_interval_is_that_of_the_t_test_of_scipy(paired: bool) -> None:
+    """Welch's, of samples that differ in size and scatter, or of pairs. One-sided at 95 % is two-sided at 90 %."""
+    rng = np.random.default_rng(3)
+    new, old = rng.normal(0.3, 2.0, 6), rng.normal(0.0, 1.0, 6 if paired else 11)
+    found = compare(Estimate.of(new), Estimate.of(old), 1.0, 0.95, paired)
+    test = stats.ttest_rel(new, old) if paired else stats.ttest_ind(new, old, equal_var=False)
+    assert (found.lower, found.upper) == pytest.approx(tuple(test.confidence_interval(0.9)))
 
 
 def test_mirrored_figures_give_the_mirrored_interval() -> None:

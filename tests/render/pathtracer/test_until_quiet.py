@@ -24,6 +24,7 @@ from render.pathtracer.path_budget import (
     Pilot,
     blocks_needed,
     paths_needed,
+    smooth_indirect,
 )
 from scenes.support.errors import RenderError, SceneError
 from tests.render import rigs
@@ -358,3 +359,13 @@ def test_blocks_of_later_stages_have_random_numbers_of_their_own() -> None:
     np.testing.assert_array_equal(halves.first[::2], first)
     # No pixel has as many blocks as the numbers of its halves are apart.
     assert (halves.first[1::2] - first >= 1 << 24).all()
+
+
+def test_indirect_light_is_averaged_within_its_label() -> None:
+    """So where each label is evenly lit its light stays, up to its border; a pixel alone in its label has no neighbours."""
+    label = np.ones((30, 40), np.uint16)
+    label[:, 23:], label[5, 7:9], label[9, 11] = 2, 3, 4
+    lit = np.array([0.0, 4.0, 7.0, 2.0, 5.0])[label]
+    found, others = smooth_indirect(lit, label)
+    np.testing.assert_allclose(found, lit, rtol=1e-9)
+    np.testing.assert_allclose(others, np.where(label == 4, 0.0, lit), rtol=1e-9, atol=1e-9)
