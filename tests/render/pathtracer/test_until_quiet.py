@@ -20,6 +20,7 @@ from render.pathtracer.path_budget import (
     BLOCK_PATHS,
     DIRECT,
     FIRST,
+    PATHS_OF_PLACE,
     PILOT_PLACES,
     Pilot,
     blocks_needed,
@@ -288,6 +289,9 @@ def test_paths_meet_the_target_with_minimum_work_when_variances_are_known() -> N
     least = FIRST / (1.0 - DIRECT) * paths[0, 30]
     assert 0.99 * least <= first[0, 30] <= 1.01 * least + 2 * BLOCK_PATHS
     assert (blocks.places % 2 == 0).all()
+    # The places' own light has no noise here: pairs of them only so that no more paths begin at one than may.
+    assert (blocks.paths <= PATHS_OF_PLACE * blocks.places).all()
+    assert (blocks.paths > PATHS_OF_PLACE * (blocks.places.astype(int) - 2)).all()
     assert PILOT_PLACES % 2 == 0
 
 
