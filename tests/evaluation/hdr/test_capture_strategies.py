@@ -18,6 +18,7 @@ from evaluation.hdr.comparison import (
     StrategyResult,
 )
 from evaluation.hdr.light_budget import BUDGETS, LightBudget, Reference, Shot
+from evaluation.hdr.projector_plans import HEADROOM, LEVELS, _mask
 from evaluation.hdr.strategy_lookup import strategies
 from evaluation.theory.clipping import clipped_harmonic
 from evaluation.theory.cramer_rao import efficiency
@@ -25,6 +26,7 @@ from scenes.acquisition.patterns import PhaseShift
 from scenes.acquisition.sensor import SimpleSensor
 from scenes.files.stack import Stack
 from scenes.support.errors import ScoreError
+from tests.decode.synthetic import calibrated_stack, rig
 
 # 0.02 to 20 DN/ms beside each other
 REFLECTANCE = np.geomspace(0.02, 20.0, 24).reshape(4, 6)
@@ -255,6 +257,24 @@ def test_coding_is_shown_at_the_references_exposures(strategy: Strategy) -> None
 def test_unknown_strategy_is_refused_with_a_hint() -> None:
     with pytest.raises(ScoreError, match="did you mean 'max-modulation'"):
         strategies(["max-modulaton"])
+
+
+@pytest.mark.parametrize("exposure_ms", [4.0, 7.3, 60.0])
+def test_mask_is_the_brightest_that_keeps_its_pixels_below_saturation(exposure_ms: float) -> None:
+    """Of whole levels, and never dark; projector pixels that no camera pixel sees stay white."""
+    made = calibrated_stack(
+        rig(), np.zeros((48, 64)), PhaseShift(periods_px=(16.0, 80.0)), offset=50.0, modulation=40.0
+    )
+    sensor = SimpleSensor(bits=8)
+    counts = np.clip(made.frames * [[[[1.0]]], [[[2.0]]]], 0, 255).astype(np.uint8)
+    mask = _mask(
+        replace(made, frames=counts, exposure_ms=(1.0, 2.0), sensor=sensor), 0, exposure_ms
+    )
+    brightest, most = counts[1].max() * exposure_ms / 2.0, HEADROOM * sensor.saturation_dn
+    level = mask.min()
+    assert level * brightest <= most or level == 1.0 / LEVELS
+    assert (level + 1.0 / LEVELS) * brightest > most
+    assert mask.max() == 1.0
 
 
 def entry(

@@ -14,6 +14,7 @@ from pydantic import TypeAdapter
 import scenes
 from scenes.board.board import Board, ParametricBoard
 from scenes.board.component_packages import Bga, Chip, Qfn, Qfp
+from scenes.board.defects import Contamination, _speck
 from scenes.board.deposits import Print
 from scenes.board.pad_layout import circle, rectangle
 from scenes.board.printing import artwork, printed
@@ -202,6 +203,15 @@ def test_smear_adds_a_thin_tail_in_its_direction() -> None:
         # Between nothing and a slab of full height; a tail thins to a third.
         assert 0.0 < pad.smear_volume_mm3 < 0.3 * 0.5 * min(pad.size_mm) * 0.04 * 1.5
         assert "smear" in pad.defects
+
+
+def test_specks_are_as_far_from_their_aperture_as_asked_in_every_direction() -> None:
+    """Half a side's length from the middle; 400 angles drawn evenly have a mean cosine and sine of 0 +- 0.035."""
+    speck = Contamination.model_validate({"probability": 1.0, "distance": 0.5})
+    rng = np.random.default_rng(2)
+    at = np.array([_speck(speck, rng).at for _ in range(400)])
+    np.testing.assert_allclose(np.hypot(*at.T), 0.5)
+    assert np.abs(at.mean(axis=0)).max() < 0.5 * 4.0 * 0.035
 
 
 def test_contamination_is_on_top_of_all_paste() -> None:
