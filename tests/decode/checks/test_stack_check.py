@@ -208,12 +208,14 @@ def test_saturation_and_gamma_are_warned_of_not_refused() -> None:
     stack = large(FOUR)
     top = (stack.frames.astype(float) - 20.0).clip(0) / 160.0
     bent = np.round(20.0 + 160.0 * top**2.0).clip(0, 255).astype(np.uint8)
-    report = check(replace(stack, frames=bent))
-    seen = [f for f in report.findings if f.name.endswith("px, gamma")]
-    assert seen[0].verdict == "warning"
-    # Squared light is gamma 2, seen through the noise of 1 DN, which squaring bends too.
-    fine = [f.value for f in seen if " 16 px" in f.name]
-    assert fine[0] == pytest.approx(2.0, abs=0.02)
+    # What a stack states is compared with what is seen.
+    for stated, verdict in ((None, "warning"), (2.0, "ok"), (1.85, "warning"), (2.15, "warning")):
+        report = check(replace(stack, frames=bent, gamma=stated))
+        seen = [f for f in report.findings if f.name.endswith("px, gamma")]
+        fine = next(f for f in seen if " 16 px" in f.name)
+        assert (seen[0].verdict, fine.verdict) == (verdict, verdict)
+        # Squared light is gamma 2, seen through the noise of 1 DN, which squaring bends too.
+        assert fine.value == pytest.approx(2.0, abs=0.02)
 
 
 def test_checks_of_a_single_period_are_unknown() -> None:
