@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from scenes.shapes.mesh_files import read_mesh
+from scenes.shapes.mesh_files import concave_triangles, read_mesh
 from scenes.support.errors import MeshError
 
 Floats = NDArray[np.float64]
@@ -95,6 +95,13 @@ def test_triangles_fill_the_polygon(tmp_path: Path, kind: str, name: str, start:
     rims = np.sort(mesh.edges, axis=1)
     _, count = np.unique(rims, axis=0, return_counts=True)
     assert (count == 1).sum() == len(corners)
+
+
+@pytest.mark.parametrize("size", [1e-5, 1.0, 1e5])
+@pytest.mark.parametrize("name", OUTLINES)
+def test_only_convex_polygons_of_any_size_are_filled_by_fans(name: str, size: float) -> None:
+    found = concave_triangles(size * tilted(OUTLINES[name]), Path("a.obj"))
+    assert (found is None) == (name in ("square", "hexagon"))
 
 
 @pytest.mark.parametrize("kind", FORMATS)
