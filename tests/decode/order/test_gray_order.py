@@ -224,6 +224,11 @@ def test_incomplete_code_is_refused(change: object, said: str) -> None:
         decode.reconstruct(replace(stack, patterns=patterns))
 
 
+def test_one_bit_of_one_frame_is_a_code() -> None:
+    code = gray_sets(GrayCode(bits=(1,), inverted=False).frames(), 0)["column"]
+    assert (code.direct, code.inverse, code.white, code.black) == ((0,), (None,), 1, 2)
+
+
 def test_unwrapping_a_code_is_refused() -> None:
     with pytest.raises(DecodeError, match="Gray code alone"):
         decode.reconstruct(take(GrayCode(bits=(9,))), unwrap="row-scan")

@@ -102,6 +102,12 @@ def test_triangles_fill_the_polygon(tmp_path: Path, kind: str, name: str, start:
 def test_only_convex_polygons_of_any_size_are_filled_by_fans(name: str, size: float) -> None:
     found = concave_triangles(size * tilted(OUTLINES[name]), Path("a.obj"))
     assert (found is None) == (name in ("square", "hexagon"))
+    # No corner of a pentagram turns back, yet it runs round twice.
+    angle = 0.8 * np.pi * np.arange(5)
+    with pytest.raises(MeshError, match="crosses itself"):
+        concave_triangles(
+            size * tilted(np.column_stack([np.cos(angle), np.sin(angle)])), Path("a.obj")
+        )
 
 
 @pytest.mark.parametrize("kind", FORMATS)
