@@ -157,7 +157,7 @@ def _truth(scene: Scene, surface: "_Surface", camera: Projection, transport: Tra
         pad.reshape(shape) if scene.board else None,
         material.reshape(shape),
         surface.materials,
-        height_noise_mm(transport, xyz.reshape(*shape, 3)),
+        height_noise_mm(transport, xyz.reshape(*shape, 3), lit.reshape(-1, *shape)),
         identity(scene),
     )
 

@@ -9,6 +9,7 @@ neighbour's phase differs, its noise along becomes noise across. As a complex nu
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,8 @@ from render.exposure_time import exposure_times_ms
 from render.fringe_phasor import ANY_PHASE, FinestFringe, direction, finest_fringes, measuring_axis
 from render.transport import Transport
 from scenes.acquisition.fringe_fit import STRAY_FRACTION
+from scenes.scene import Scene
+from scenes.support.errors import RenderError
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -35,14 +38,24 @@ SATURATION_SLACK = 0.1
 
 @dataclass(frozen=True, eq=False)
 class SensorNoise:
-    """What the sensor adds to the phase that measures height, with the longest exposure that saturates no frame."""
+    """What the sensor adds to the height, with the longest exposure that saturates no frame.
 
-    phase_rad: Floats
-    """(row, col) standard deviation, of the projector that has the smallest; NaN where none can measure it."""
-    projector: NDArray[np.intp]
-    """(row, col) number of that projector."""
+    The height is the mean of the projectors that can measure it, each weighted by 1 / variance, as decoding takes it.
+    """
+
+    height_mm: Floats
+    """(row, col) standard deviation; NaN where no projector measures. Of screens, which measure slopes, of the phase, rad."""
+    mm_per_rad: Floats
+    """(projector, row, col) what the phase of each adds to the height; 0 where it does not measure."""
     fringe: tuple[int, ...]
     """Of each projector, the number of its measuring axis among `finest_fringes`."""
+
+    def variance_mm2(self, phase_rad2: NDArray[np.floating]) -> Floats:
+        """(row, col) variance of the height from those of phases, (fringe, projector, row, col); NaN where one is unknown."""
+        own = np.stack([phase_rad2[fringe, p] for p, fringe in enumerate(self.fringe)])
+        counts = self.mm_per_rad != 0.0
+        own = np.where(counts, own, 0.0).astype(np.float64)
+        return np.asarray(np.where(counts.any(axis=0), (self.mm_per_rad**2 * own).sum(0), np.nan))
 
 
 def sensor_noise(transport: Transport, lit: Mask | None = None) -> SensorNoise | None:
@@ -76,15 +89,46 @@ def sensor_noises(
         ],
         axis=1,
     )
+    each_mm = np.stack(
+        [_mm_per_rad(scene, p, fringes[f], _points(scene)) for p, f in enumerate(measuring)]
+    )
     found = []
     for slack, noise in zip(slacks, noises, strict=True):
+        measures = (noise < slack * MOST_SENSOR_NOISE_RAD) & np.isfinite(each_mm)
         if lit is not None:
-            noise[~lit] = np.inf
-        best = np.argmin(noise, axis=0)
-        smallest = np.take_along_axis(noise, best[None], axis=0)[0]
-        smallest[~(smallest < slack * MOST_SENSOR_NOISE_RAD)] = np.nan
-        found.append(SensorNoise(smallest, best, measuring))
+            measures &= lit
+        precision = np.zeros_like(noise)
+        precision[measures] = 1.0 / np.square(noise[measures] * each_mm[measures])
+        whole = precision.sum(axis=0)
+        some = whole > 0.0
+        height = np.full(whole.shape, np.nan)
+        height[some] = 1.0 / np.sqrt(whole[some])
+        share = np.divide(precision, whole, out=np.zeros_like(precision), where=some)
+        found.append(SensorNoise(height, np.where(measures, each_mm, 0.0) * share, measuring))
     return found
+
+
+def _points(scene: Scene) -> Floats:
+    """(row, col, 3) where the camera's pixels see the middle of the working volume, mm."""
+    return scene.camera.projection().points_at(float(np.mean(scene.height_range_mm)))
+
+
+def _mm_per_rad(scene: Scene, projector: int, fringe: FinestFringe, point_mm: Floats) -> Floats:
+    """(row, col) change of height that turns one projector's phase by 1 rad, at these points (row, col, 3).
+
+    1 with screens, which measure slopes; infinite where height does not move the fringes.
+    """
+    if scene.screens:
+        return np.ones(point_mm.shape[:2])
+    point = point_mm.reshape(-1, 3)
+    camera, light = scene.camera.projection(), scene.projectors[projector].projection()
+    _, ray = camera.rays(camera.pixel_centres().reshape(-1, 2))
+    # Where the pixel's ray is a little higher.
+    higher = point + SLOPE_MM / ray[:, 2:] * ray
+    moved = light.project(higher)[0] - light.project(point)[0]
+    px = np.abs(moved[:, ("column", "row").index(fringe.axis)]).reshape(point_mm.shape[:2])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(SLOPE_MM * fringe.period_px / (2.0 * np.pi * px))
 
 
 def _phase_noise(
@@ -133,31 +177,22 @@ def _phase_noise(
 
 
 def render_to_sensor_noise(transport: Transport, lit: NDArray[np.bool_]) -> Mapping[str, float]:
-    """Root mean square of the light paths' noise over that of the sensor, by label, over pixels of `lit`, which says what
-    each projector lights, (projector, row, col).
+    """Root mean square of the light paths' noise over that of the sensor, in height, by label, over pixels of `lit`, which
+    says what each projector lights, (projector, row, col).
 
     Labels without a pixel that can be measured are left out, as is everything if the noise of light is not known.
     """
     noise = None if transport.noise_rad is None else sensor_noise(transport, lit)
     if noise is None:
         return {}
-    assert transport.noise_rad is not None
-    own = chosen(on_chip(transport), noise)
-    known = np.isfinite(noise.phase_rad) & np.isfinite(own)
+    own = noise.variance_mm2(on_chip(transport) ** 2)
+    known = np.isfinite(noise.height_mm) & np.isfinite(own)
     ratios = {}
     for number, label in enumerate(transport.labels, 1):
         at = known & (transport.label == number)
         if at.any():
-            square = np.mean(own[at] ** 2) / np.mean(noise.phase_rad[at] ** 2)
-            ratios[label] = float(np.sqrt(square))
+            ratios[label] = float(np.sqrt(np.mean(own[at]) / np.mean(noise.height_mm[at] ** 2)))
     return ratios
-
-
-def chosen(images: NDArray[np.floating], noise: SensorNoise) -> Floats:
-    """(row, col) of images (fringe, projector, row, col): of the projector and the axis that measure each pixel."""
-    own = np.stack([images[fringe, p] for p, fringe in enumerate(noise.fringe)])
-    picked: Floats = np.take_along_axis(own, noise.projector[None], axis=0)[0].astype(np.float64)
-    return picked
 
 
 def on_chip(transport: Transport) -> NDArray[np.float32]:
@@ -185,40 +220,35 @@ def on_chip(transport: Transport) -> NDArray[np.float32]:
 
 
 def height_noise_mm(
-    transport: Transport, xyz_mm: NDArray[np.float32]
+    transport: Transport, xyz_mm: NDArray[np.float32], lit: Mask
 ) -> NDArray[np.float32] | None:
-    """Standard deviation of height from light paths alone, mm (row, col), of the projector that modulates a pixel most.
+    """Standard deviation of height from light paths alone, mm (row, col), of the projectors that measure a pixel.
 
-    `xyz_mm` are the points that pixels see, (row, col, 3), as `scenes.Truth` has them. None if the noise is not known, and with
-    a screen, which measures slopes.
+    Where none can, it is that of the projector that modulates it most. `xyz_mm` are the points that pixels see, (row, col, 3),
+    and `lit` says which each projector lights, (projector, row, col), as `scenes.Truth` has both. None if the noise is not
+    known, and with a screen, which measures slopes.
     """
     scene = transport.scene
     fringes = finest_fringes(scene.patterns, transport.bases)
     if transport.noise_rad is None or not fringes or scene.screens:
         return None
-    noise = on_chip(transport)
-    camera = scene.camera.projection()
-    point = xyz_mm.reshape(-1, 3).astype(np.float64)
-    _, direction = camera.rays(camera.pixel_centres().reshape(-1, 2))
-    # Where the pixel's ray is a little higher.
-    higher = point + SLOPE_MM / direction[:, 2:] * direction
     axes = [fringe.axis for fringe in fringes]
+    measuring = [measuring_axis(scene, axes, p) for p in range(len(transport.bases))]
+    own, point = on_chip(transport), xyz_mm.astype(np.float64)
     heights, power = [], []
-    for p, basis in enumerate(transport.bases):
-        chosen_axis = measuring_axis(scene, axes, p)
-        fringe = fringes[chosen_axis]
-        projector = scene.projectors[p].projection()
-        moved = projector.project(higher)[0] - projector.project(point)[0]
-        px_per_mm = moved[:, ("column", "row").index(fringe.axis)].reshape(xyz_mm.shape[:2])
-        px_per_mm /= SLOPE_MM
-        with np.errstate(divide="ignore", invalid="ignore"):
-            heights.append(
-                noise[chosen_axis, p] * fringe.period_px / (2.0 * np.pi * np.abs(px_per_mm))
-            )
+    for p, (f, basis) in enumerate(zip(measuring, transport.bases, strict=True)):
+        heights.append(own[f, p] * _mm_per_rad(scene, p, fringes[f], point))
         channels = transport.total[p, : len(basis.channels)]
-        power.append((fringe.phasor(channels, p) ** 2).sum(axis=0))
+        power.append((fringes[f].phasor(channels, p) ** 2).sum(axis=0))
     best = np.argmax(power, axis=0)[None]
-    picked: NDArray[np.float32] = np.take_along_axis(np.stack(heights), best, axis=0)[0]
+    picked: Floats = np.take_along_axis(np.stack(heights), best, axis=0)[0]
+    if len(heights) > 1:
+        # Light too dark for an exposure time is measured by none.
+        with suppress(RenderError):
+            noise = sensor_noise(transport, lit)
+            assert noise is not None
+            mean = np.sqrt(noise.variance_mm2(own**2))
+            picked = np.where(np.isfinite(mean), mean, picked)
     return picked.astype(np.float32)
 
 
@@ -242,20 +272,20 @@ def phase_variance(
     return np.clip(variance, 0.0, ANY_PHASE)
 
 
-def weights(phasor: Complex, chip: Complex, counted: Mask, kernel: Floats | None) -> Floats:
-    """How much each pixel's variances across and along its phasors add to the sum of phase variances of the `counted` pixels.
+def weights(phasor: Complex, chip: Complex, mm_per_rad: Floats, kernel: Floats | None) -> Floats:
+    """How much each pixel's variances across and along its phasors add to the sum of height variances, mm^2 / power.
 
-    (2, projector, row, col), in 1 / power. `phasor` and `counted`, (projector, row, col), are of light that each projector
-    measures by, `chip` (row, col) the phasors behind the lens; the kernel is None without one.
+    (2, projector, row, col). `phasor`, likewise without its first axis, are those of each projector's light, `chip` behind the
+    lens; `mm_per_rad` is what a phase adds to a height that counts, 0 elsewhere. The kernel is None without a lens.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
-        own = np.where(counted, 1.0 / np.abs(chip) ** 2, 0.0)
+        own = np.where(mm_per_rad > 0.0, (mm_per_rad / np.abs(chip)) ** 2, 0.0)
     if kernel is None:
         return np.stack([own, np.zeros_like(own)])
     turned = own * direction(chip).conj() ** 2
     both, real, imaginary = _squared(np.stack([own, turned.real, turned.imag]), kernel)
     lean = (direction(phasor) ** 2 * (real + 1j * imaginary)).real
-    return np.maximum([both + lean, both - lean], 0.0) / 2.0
+    return np.asarray(np.maximum([both + lean, both - lean], 0.0) / 2.0, np.float64)
 
 
 def _squared(images: Floats, kernel: Floats) -> Floats:

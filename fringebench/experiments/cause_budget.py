@@ -95,7 +95,7 @@ def budget(
             times = render.expose(lights[optical], seed=seed, steady=True).exposure_ms
         seen: Causes = on & (TRACED | {"psf"})
         if truth.render_noise_mm is not None and seen not in noise:
-            own = height_noise_mm(_behind(lights[optical], on), truth.xyz_mm)
+            own = height_noise_mm(_behind(lights[optical], on), truth.xyz_mm, truth.lit_by)
             assert own is not None
             noise[seen] = own
         if "conveyor" in on and optical not in moved:

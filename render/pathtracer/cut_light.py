@@ -10,7 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from render.light_noise import SensorNoise, chosen
+from render.light_noise import SensorNoise
 from render.pathtracer.block_light import BlockLight, Blocks
 from render.pathtracer.path_budget import Pilot
 
@@ -38,7 +38,7 @@ def cut_to_sensor_noise(
     pilot: Pilot,
     sensor: SensorNoise,
 ) -> Mapping[int, float]:
-    """Label's number -> root mean square of the cut light's phase over that of the sensor's noise, over some scored pixels.
+    """Label's number -> root mean square of the cut light's height over that of the sensor's noise, over some scored pixels.
 
     `deep` are these `pixels` of the pilot `quick`, traced again in the same `blocks` with more vertices.
     """
@@ -48,19 +48,23 @@ def cut_to_sensor_noise(
     number = blocks.number[pixels].astype(np.float64)
     entry = np.repeat(np.arange(number.size), blocks.number[pixels])
     found = deep.phasor[0] - before
-    square = np.full((*found.shape[:2], blocks.number.size), np.nan)
-    for at in np.ndindex(found.shape[:2]):
-        mean = np.bincount(entry, before[at].real) + 1j * np.bincount(entry, before[at].imag)
+    height = np.zeros(entry.size)
+    for p, fringe in enumerate(sensor.fringe):
+        own = before[fringe, p]
+        mean = np.bincount(entry, own.real) + 1j * np.bincount(entry, own.imag)
+        share = sensor.mm_per_rad[p].ravel()[pixels][entry]
         with np.errstate(divide="ignore", invalid="ignore"):
-            turn = (found[at] * (number / mean)[entry]).imag
-        once, twice = np.bincount(entry, turn), np.bincount(entry, turn**2)
-        square[at][pixels] = (once**2 - twice) / (number * (number - 1.0))
-    own = chosen(square.reshape(*found.shape[:2], *pilot.label.shape), sensor)
+            turn = (found[fringe, p] * (number / mean)[entry]).imag
+        height += np.where(share > 0.0, share * turn, 0.0)
+    once, twice = np.bincount(entry, height), np.bincount(entry, height**2)
+    square = np.full(blocks.number.size, np.nan)
+    square[pixels] = (once**2 - twice) / (number * (number - 1.0))
+    own = square.reshape(pilot.label.shape)
     ratios = {}
     for n in np.unique(pilot.label[pilot.scored]):
         at = pilot.scored & (pilot.label == n) & np.isfinite(own)
         if at.any():
             mean, error = own[at].mean(), own[at].std() / np.sqrt(at.sum())
-            share = mean / np.mean(sensor.phase_rad[at] ** 2)
+            share = mean / np.mean(sensor.height_mm[at] ** 2)
             ratios[int(n)] = float(np.sqrt(share)) if mean > SURE * error else 0.0
     return ratios

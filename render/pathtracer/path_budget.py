@@ -61,21 +61,21 @@ class Pilot:
     label: NDArray[np.uint16]
     lit: Mask
     scored: Mask
-    """Lit pixels whose phase can be measured: those that a target counts."""
+    """Lit pixels whose height can be measured: those that a target counts."""
     counted: Mask
     """These, and pixels that may be found to be such when their light is better known."""
     phasor: Complex
     """Of each projector, (projector, row, col), any unit."""
-    measures: Mask
-    """(projector, row, col) which projector measures the pixel."""
     chip: Complex
-    """Of that projector behind the lens, as long as it may well be."""
+    """Behind the lens, as long as it may well be, likewise."""
+    mm_per_rad: Floats
+    """(projector, row, col) what each projector's phase adds to the height; 0 where it does not measure."""
     kernel: Floats | None
     """Of the lens, as `render.blur.point_spread.spread_kernel` has it; None: no blur."""
     indirect: tuple[Floats, Floats]
-    """White indirect light of that projector as `smooth_indirect` has it, same unit."""
-    sensor_rad: Floats
-    """Noise of the sensor in the phase."""
+    """White indirect light of each projector as `smooth_indirect` has it, (projector, row, col), same unit."""
+    sensor_mm: Floats
+    """Noise of the sensor in the height."""
     path_variance: Floats
     """Of one path's light across and along each phasor, same unit squared, (2, projector, row, col)."""
     place_variance: Floats
@@ -156,8 +156,8 @@ def _paths(
         inside = pilot.label == label
         some = inside & (pilot.lit | pilot.counted)
         variance = (adds * np.nan_to_num(pilot.path_variance)).sum(axis=(0, 1))
-        adding = adds.sum(axis=(0, 1))
-        shares, without = _shares(pilot.indirect, adding, variance, inside & pilot.counted, some)
+        counted = inside & pilot.counted
+        shares, without = _shares(pilot.indirect, adds.sum(axis=0), variance, counted, some)
         noisy = variance > 0.0
         cost = _Cost(variance[noisy], without[noisy], have[noisy], most_paths, errors)
         paths = np.maximum(paths, np.minimum(cost.scale(share * allowed) * shares, most_paths))
@@ -193,15 +193,15 @@ class _Cost:
 
 
 def _budgets(pilot: Pilot, targets: dict[int, float]) -> dict[int, tuple[float, Floats]]:
-    """Label -> what its sum of phase variances may be, and how much those of each pixel add to it, (2, projector, row, col)."""
+    """Label -> what its sum of height variances may be, and how much those of each pixel add to it, (2, projector, row, col)."""
     found = {}
     for label, target in targets.items():
         inside = pilot.label == label
         scored = inside & pilot.scored
         if scored.any():
-            allowed = (AIMED * target) ** 2 * float((pilot.sensor_rad[scored] ** 2).sum())
-            counted = inside & pilot.counted & pilot.measures
-            found[label] = allowed, weights(pilot.phasor, pilot.chip, counted, pilot.kernel)
+            allowed = (AIMED * target) ** 2 * float((pilot.sensor_mm[scored] ** 2).sum())
+            own = np.where(inside & pilot.counted, pilot.mm_per_rad, 0.0)
+            found[label] = allowed, weights(pilot.phasor, pilot.chip, own, pilot.kernel)
     return found
 
 
@@ -228,10 +228,12 @@ def _shares(
 ) -> tuple[Floats, Floats]:
     """(row, col) what a label's paths are in proportion to, by either light; 0 where light adds nothing to its noise.
 
-    `adds` is what a unit of a pixel's variance adds to that of the label, `variance` what the pixel's measured variance adds.
+    `adds` is what a unit of a pixel's variance adds to that of the label, (projector, row, col) as light is, `variance` what the
+    pixel's measured variance adds.
     `some` pixels get some paths in any case: those that seem too dark to be measured may not be.
     """
-    found = [np.sqrt(kind * adds) for kind in light]
+    found = [np.sqrt((kind * adds).sum(axis=0)) for kind in light]
+    adds = adds.sum(axis=0)
     mean = float(found[0][counted].mean())
     if mean <= 0.0:
         # Direct light alone scatters at edges, also at those of neighbours whose blur reaches the label.

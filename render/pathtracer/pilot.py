@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from render.blur.point_spread import spread_kernel
-from render.fringe_phasor import FinestFringe, finest_fringes, white_weights
+from render.fringe_phasor import FinestFringe, direction, finest_fringes, white_weights
 from render.light_noise import Mask, SensorNoise, sensor_noises, through
 from render.pathtracer.block_light import BlockLight, Blocks, Images, scatter_about_direct
 from render.pathtracer.path_budget import (
@@ -34,7 +34,7 @@ GOLDEN = 0.6180339887498949
 def first_pilot(
     light: BlockLight, blocks: Blocks, transport: Transport, lit: Mask
 ) -> tuple[Pilot, SensorNoise]:
-    """What the pilot's own paths say, and which projector and axis measure each pixel."""
+    """What the pilot's own paths say, and which projectors and axes measure each pixel."""
     shape = transport.label.shape
     place, path = scatter_about_direct(light, blocks.number)
     place, path = (v.reshape(*v.shape[:3], *shape) for v in (place, path * PILOT_PATHS))
@@ -110,14 +110,21 @@ def _more(
 def _pilot(
     transport: Transport, paths: NDArray[Any], place: Floats, path: Floats, lit: Mask
 ) -> tuple[Pilot, SensorNoise]:
-    """What light of so many `paths` (row, col) says of the projector and the axis that measure each pixel, and which they are.
+    """What light of so many `paths` (row, col) says, and which projectors and axes measure each pixel.
 
     `place` and `path` are the variances that `Pilot` has, of every fringe and projector, (2, fringe, projector, row, col).
     """
-    strict, sensor = sensor_noises(transport, (1.0, SLACK), lit)
+    strict, slack = sensor_noises(transport, (1.0, SLACK), lit)
+    scored = np.isfinite(strict.height_mm)
+    sensor = SensorNoise(
+        np.where(scored, strict.height_mm, slack.height_mm),
+        np.where(scored, strict.mm_per_rad, slack.mm_per_rad),
+        strict.fringe,
+    )
     fringes = finest_fringes(transport.scene.patterns, transport.bases)
     known = paths / (paths + KNOWING_PATHS)
-    sharp, indirect = [], []
+    kernel = spread_kernel(transport.scene.sensor)
+    sharp, chip, smooth = [], [], []
     for p, b in enumerate(transport.bases):
         direct, total = (
             light[p, : len(b.channels)] for light in (transport.direct, transport.total)
@@ -125,34 +132,32 @@ def _pilot(
         fringe = fringes[sensor.fringe[p]]
         cosine, sine = (1.0 - known) * fringe.phasor(direct, p) + known * fringe.phasor(total, p)
         sharp.append(cosine + 1j * sine)
-        indirect.append(np.tensordot(white_weights(b), total - direct, 1))
-
-    def pick(images: list[NDArray[Any]]) -> NDArray[Any]:
-        return np.asarray(np.take_along_axis(np.stack(images), sensor.projector[None], axis=0)[0])
-
+        white = np.tensordot(white_weights(b), total - direct, 1).astype(np.float64)
+        smooth.append(smooth_indirect(white, transport.label))
+        # What a lens blurs is the light of one projector.
+        seen = sharp[p] if kernel is None else through(sharp[p], kernel)
+        # Indirect light that is not known yet adds to the modulation, too.
+        longer = np.hypot(np.abs(seen), (1.0 - known) * COHERENT * smooth[p][0])
+        chip.append(direction(seen) * longer)
     places, each = (
         np.stack([part[:, f, p] for p, f in enumerate(sensor.fringe)], axis=1)
         for part in (place, path)
     )
-    counted = np.isfinite(sensor.phase_rad + pick(list(places[0] + each[0])))
-    kernel = spread_kernel(transport.scene.sensor)
-    # What a lens blurs is the light of one projector.
-    chip = pick(sharp if kernel is None else [through(z, kernel) for z in sharp])
-    light = smooth_indirect(pick(indirect).astype(np.float64), transport.label)
-    # Indirect light that is not known yet adds to the modulation, too.
-    size = np.abs(chip)
-    longer = np.hypot(size, (1.0 - known) * COHERENT * light[0])
+    counts = sensor.mm_per_rad > 0.0
+    counted = np.isfinite(sensor.height_mm) & np.isfinite(
+        np.where(counts, places[0] + each[0], 0.0)
+    ).all(axis=0)
     pilot = Pilot(
         transport.label,
         np.asarray(lit.any(axis=0)),
-        counted & np.isfinite(strict.phase_rad),
+        counted & scored,
         counted,
         np.stack(sharp),
-        np.arange(len(sharp))[:, None, None] == sensor.projector,
-        np.where(size > 0.0, chip / np.maximum(size, 1e-300), 1.0) * longer,
+        np.stack(chip),
+        sensor.mm_per_rad,
         kernel,
-        light,
-        sensor.phase_rad,
+        (np.stack([one for one, _ in smooth]), np.stack([other for _, other in smooth])),
+        sensor.height_mm,
         each,
         places,
     )

@@ -129,10 +129,10 @@ def test_cut_light_is_the_mean_turn_of_phase_and_not_its_noise() -> None:
     label = np.where(left, 1, 2) * np.ones(shape, np.uint16)
     none_at_all = np.zeros(shape)
     pilot = Pilot(
-        label.astype(np.uint16), every, every, every, own[None], every[None], own, None, (none_at_all, none_at_all),
+        label.astype(np.uint16), every, every, every, own[None], own[None], np.ones((1, *shape)), None, (none_at_all[None], none_at_all[None]),
         np.full(shape, 0.2), np.zeros((2, 1, *shape)), np.zeros((2, 1, *shape)),
     )  # fmt: skip
-    sensor = SensorNoise(pilot.sensor_rad, np.zeros(shape, np.intp), (0,))
+    sensor = SensorNoise(pilot.sensor_mm, pilot.mm_per_rad, (0,))
     blocks = Blocks(count, count, count, count, count)
     found = cut_to_sensor_noise(quick, deep, blocks, judged_pixels(pilot), pilot, sensor)
     # A product of two blocks has a noise of 0.3^2, of which there are 6 in each of 400 pixels: 0.002 of 0.01.
@@ -161,10 +161,10 @@ def test_stated_cut_light_is_that_of_a_deeper_trace() -> None:
     assert sensor is not None
     seen = {}
     for label in truth.labels:
-        at = truth.region(label) & np.isfinite(sensor.phase_rad)
+        at = truth.region(label) & np.isfinite(sensor.height_mm)
         if not at.any():
             continue
-        power = np.mean(sensor.phase_rad[at] ** 2)
+        power = np.mean((sensor.height_mm / sensor.mm_per_rad[0])[at] ** 2)
         groups = squares[:, at].mean(axis=1) / power
         seen[label] = groups.mean(), stats.sem(groups)
     stated = [
@@ -253,30 +253,38 @@ def test_block_whose_ray_meets_an_edge_is_the_same_in_any_chunk(
     np.testing.assert_array_equal(seen[0].phasor, seen[1].phasor)
 
 
-def test_paths_meet_the_target_with_minimum_work_when_variances_are_known() -> None:
+@pytest.mark.parametrize("shares", [(1.0,), (0.7, 0.3)])
+def test_paths_meet_the_target_with_minimum_work_when_variances_are_known(
+    shares: tuple[float, ...],
+) -> None:
     # Half the pixels are ten times as dark: their phase is ten times as noisy, and so are the sensor's samples.
     shape = (20, 40)
     modulation = np.where(np.arange(40) < 20, 1.0, 0.1) * np.ones(shape)
     every = np.ones(shape, np.bool_)
-    light = np.full(shape, 0.5)
+    images = (len(shares), *shape)
+    light = np.full(images, 0.5)
+    phasor = np.broadcast_to(modulation.astype(np.complex128), images)
+    # Heights are means over projectors by these shares.
+    mm_per_rad = np.reshape(shares, (-1, 1, 1)) * np.ones(images)
     pilot = Pilot(
         np.ones(shape, np.uint16),
         every,
         every,
         every,
-        modulation.astype(np.complex128)[None],
-        every[None],
-        modulation.astype(np.complex128),
+        phasor,
+        phasor,
+        mm_per_rad,
         None,
         (light, light),
         0.01 / modulation,
-        np.full((2, 1, *shape), 0.5),
-        np.zeros((2, 1, *shape)),
+        np.full((2, *images), 0.5),
+        np.zeros((2, *images)),
     )
     targets = {1: 1.0 / AIMED}
     paths = paths_needed(pilot, targets, np.ones(shape), 1 << 20, errors=0.0)
     assert paths[0, 30] / paths[0, 10] == pytest.approx(10.0, rel=1e-6)
-    variance = (0.5 / modulation**2 / paths).sum() / (pilot.sensor_rad**2).sum()
+    noise = (mm_per_rad**2 * 0.5 / modulation**2 / paths).sum()
+    variance = noise / (pilot.sensor_mm**2).sum()
     assert 0.98 < variance <= 1.0
     # What dark pixels have too many of already, bright ones need not have: most of the dark ones' noise is gone.
     have = np.where(modulation < 1.0, 4.0 * paths, 1.0)
