@@ -148,13 +148,15 @@ def _regions(
     truth = render.truth(light.scene, light)
     sensor = sensor_noise(light, truth.lit_by)
     assert sensor is not None
-    counted = np.isfinite(sensor.phase_rad)
+    counted = np.isfinite(sensor.height_mm)
+    # The scenes have one projector.
+    phase_rad = np.divide(
+        sensor.height_mm, sensor.mm_per_rad[0], out=np.zeros(counted.shape), where=counted
+    )
     if case.statistic == P95:
         return [(counted, 0.0)]
     labels = [counted & truth.region(label) for label in case.labels or light.labels]
-    return [
-        (at, goal * float(np.sqrt(np.mean(sensor.phase_rad[at] ** 2)))) for at in labels if at.any()
-    ]
+    return [(at, goal * float(np.sqrt(np.mean(phase_rad[at] ** 2)))) for at in labels if at.any()]
 
 
 def _noise(pair: list[Image], judged: NDArray[np.bool_], statistic: str) -> float:
