@@ -32,6 +32,8 @@ Mask = NDArray[np.bool_]
 MOST_SENSOR_NOISE_RAD = 1 / 8
 # The change of height that slopes are taken over.
 SLOPE_MM = 1e-3
+# Height per radian of phase is known from one pixel in so many, along rows and columns.
+SPARSE = 8
 # Where no exposure is free of saturation, pixels that miss the limit by this share of the decoder's slack count, too.
 SATURATION_SLACK = 0.1
 
@@ -89,9 +91,7 @@ def sensor_noises(
         ],
         axis=1,
     )
-    each_mm = np.stack(
-        [_mm_per_rad(scene, p, fringes[f], _points(scene)) for p, f in enumerate(measuring)]
-    )
+    each_mm = np.stack([_flat_mm_per_rad(scene, p, fringes[f]) for p, f in enumerate(measuring)])
     found = []
     for slack, noise in zip(slacks, noises, strict=True):
         measures = (noise < slack * MOST_SENSOR_NOISE_RAD) & np.isfinite(each_mm)
@@ -108,13 +108,21 @@ def sensor_noises(
     return found
 
 
-def _points(scene: Scene) -> Floats:
-    """(row, col, 3) where the camera's pixels see the middle of the working volume, mm."""
-    return scene.camera.projection().points_at(float(np.mean(scene.height_range_mm)))
+def _flat_mm_per_rad(scene: Scene, projector: int, fringe: FinestFringe) -> Floats:
+    """`_mm_per_rad` in the middle of the working volume, where it changes so slowly that a few pixels know it."""
+    camera = scene.camera.projection()
+    pixel = camera.pixel_centres()[::SPARSE, ::SPARSE]
+    point = camera.points_at(float(np.mean(scene.height_range_mm)), pixel)
+    found = _mm_per_rad(scene, projector, fringe, point, pixel)
+    whole = found.repeat(SPARSE, axis=0).repeat(SPARSE, axis=1)
+    return whole[: camera.height, : camera.width]
 
 
-def _mm_per_rad(scene: Scene, projector: int, fringe: FinestFringe, point_mm: Floats) -> Floats:
-    """(row, col) change of height that turns one projector's phase by 1 rad, at these points (row, col, 3).
+def _mm_per_rad(
+    scene: Scene, projector: int, fringe: FinestFringe, point_mm: Floats, pixel: Floats
+) -> Floats:
+    """(row, col) change of height that turns one projector's phase by 1 rad, at points (row, col, 3) that pixels (row, col, 2)
+    see.
 
     1 with screens, which measure slopes; infinite where height does not move the fringes.
     """
@@ -122,7 +130,7 @@ def _mm_per_rad(scene: Scene, projector: int, fringe: FinestFringe, point_mm: Fl
         return np.ones(point_mm.shape[:2])
     point = point_mm.reshape(-1, 3)
     camera, light = scene.camera.projection(), scene.projectors[projector].projection()
-    _, ray = camera.rays(camera.pixel_centres().reshape(-1, 2))
+    _, ray = camera.rays(pixel.reshape(-1, 2))
     # Where the pixel's ray is a little higher.
     higher = point + SLOPE_MM / ray[:, 2:] * ray
     moved = light.project(higher)[0] - light.project(point)[0]
@@ -235,9 +243,10 @@ def height_noise_mm(
     axes = [fringe.axis for fringe in fringes]
     measuring = [measuring_axis(scene, axes, p) for p in range(len(transport.bases))]
     own, point = on_chip(transport), xyz_mm.astype(np.float64)
+    pixel = scene.camera.projection().pixel_centres()
     heights, power = [], []
     for p, (f, basis) in enumerate(zip(measuring, transport.bases, strict=True)):
-        heights.append(own[f, p] * _mm_per_rad(scene, p, fringes[f], point))
+        heights.append(own[f, p] * _mm_per_rad(scene, p, fringes[f], point, pixel))
         channels = transport.total[p, : len(basis.channels)]
         power.append((fringes[f].phasor(channels, p) ** 2).sum(axis=0))
     best = np.argmax(power, axis=0)[None]

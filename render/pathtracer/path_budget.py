@@ -256,22 +256,29 @@ def _places(variance: Floats, blocks: Floats, allowed: float, power: float, step
     weight = variance / blocks
     # Edges that matter a million times less than the worst take no part.
     weight = np.where(weight > 1e-6 * weight.max(), weight, 0.0)
-    low, high = 0.0, 1.0
-    if weight.any():
-        # So many places in all that even the smallest edge has the most.
-        high = MOST_PLACES ** (power + 1.0) / float(weight[weight > 0.0].min())
+    some = weight > 0.0
+    # One without its opposite would shift the phase of direct light.
+    places = np.full(weight.shape, 2.0)
+    if not some.any():
+        return places
+    allowed -= float(variance[~some].sum()) / 2.0**power
+    variance, root = variance[some], weight[some] ** (1.0 / (power + 1.0)) / step
+    # What a block's variance is divided by, of each number of steps.
+    divisor = (step * np.arange(1.0, MOST_PLACES // step + 1.0)) ** power
 
-    def at(scale: float) -> Floats:
-        found = (scale * weight) ** (1.0 / (power + 1.0))
-        # One without its opposite would shift the phase of direct light.
-        return np.where(weight > 0.0, np.clip(step * np.ceil(found / step), step, MOST_PLACES), 2.0)
+    def steps(scale: float) -> NDArray[np.intp]:
+        found = np.ceil(scale ** (1.0 / (power + 1.0)) * root)
+        return np.asarray(np.clip(found, 1.0, divisor.size), np.intp)
 
+    # At most so many that even the smallest edge has the most.
+    low, high = 0.0, (MOST_PLACES / step / float(root.min())) ** (power + 1.0)
     for _ in range(60):
         middle = np.sqrt(low * high) if low else high * 1e-9
-        if float((variance / at(middle) ** power).sum()) > allowed:
+        if float((variance / divisor[steps(middle) - 1]).sum()) > allowed:
             low = middle
         else:
             high = middle
         if low and high / low < 1.02:
             break
-    return at(high)
+    places[some] = step * steps(high)
+    return places
