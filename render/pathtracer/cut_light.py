@@ -17,7 +17,7 @@ from render.pathtracer.path_budget import Pilot
 # What is not so many of its standard errors above nothing counts as nothing.
 SURE = 2.0
 # Pixels of a label that are traced once more, about.
-LABEL_PIXELS = 1 << 15
+LABEL_PIXELS = 1 << 14
 # Fraction of the golden ratio: takes such a share of the pixels evenly.
 GOLDEN = 0.6180339887498949
 
