@@ -41,7 +41,7 @@ CEILING = 30.0
 DIRECT = 0.15
 MOST_PLACES = 64
 # Of the noise allowed, what is aimed at: two seeds show no more than was asked for.
-AIMED = 0.9
+AIMED = 0.95
 # Of the paths that the pilot asks for, those traced before the halves ask for the rest: it often asks for too many.
 FIRST = 0.35
 # Variance of direct light falls with the places of a block to this power; of a lens, whose points are not paired, by 1.
