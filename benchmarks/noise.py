@@ -86,7 +86,7 @@ def _case(case: Case, quick: bool) -> list[Result]:
         render.trace(scene, seed=draw(), samples=2, phase_error_rad=1.0, surfaces=surfaces)
     ours, reached = _timed(lambda: render.trace(scene, seed=draw(), surfaces=surfaces))
     plain, light = _timed(
-        lambda: render.trace(scene, seed=draw(), samples=case.samples, surfaces=surfaces)
+        lambda: render.trace(scene, seed=draw(), samples=case.samples, surfaces=surfaces), 6
     )
     own = [_phasor(t) for t in reached]
     regions = _regions(reached[0], case, goal)
@@ -122,11 +122,11 @@ def _case(case: Case, quick: bool) -> list[Result]:
     return rows
 
 
-def _timed(make: Callable[[], Made]) -> tuple[float, list[Made]]:
-    """Processor seconds of one, and two of them."""
+def _timed(make: Callable[[], Made], count: int = 2) -> tuple[float, list[Made]]:
+    """Processor seconds of one, and `count` of them."""
     start = time.process_time()
-    made = [make() for _ in range(2)]
-    return (time.process_time() - start) / 2.0, made
+    made = [make() for _ in range(count)]
+    return (time.process_time() - start) / count, made
 
 
 def _phasor(light: render.Transport) -> Image:
@@ -159,11 +159,13 @@ def _regions(
     return [(at, goal * float(np.sqrt(np.mean(phase_rad[at] ** 2)))) for at in labels if at.any()]
 
 
-def _noise(pair: list[Image], judged: NDArray[np.bool_], statistic: str) -> float:
-    """Noise of one's phase from the difference of two, rad."""
-    one, two = pair
-    mean = (one + two) / 2.0
-    off = ((one - two) * mean.conj()).imag[judged] / np.abs(mean[judged]) ** 2 / np.sqrt(2.0)
+def _noise(several: list[Image], judged: NDArray[np.bool_], statistic: str) -> float:
+    """Noise of one's phase from the scatter of several, rad."""
+    own = np.stack([image[judged] for image in several])
+    mean = own.mean(axis=0)
+    off = ((own - mean) * mean.conj()).imag / np.abs(mean) ** 2
+    # A mean that holds the one compared with it is too near.
+    off *= np.sqrt(len(own) / (len(own) - 1))
     if statistic == P95:
         return float(np.percentile(np.abs(off), 95.0))
     return float(np.sqrt(np.mean(off**2)))
