@@ -110,7 +110,8 @@ def blocks_needed(
     budgets = _budgets(pilot, targets)
     share, paths = 1.0, np.ones(pilot.label.shape)
     if indirect:
-        share, have = DIRECT, 1.0 * fewest
+        # One path each, but in the dark a few single paths look like fringes: valid to a decoder, which many are not.
+        share, have = DIRECT, np.where(pilot.lit, 1.0, 2.0) * fewest
         paths = _paths(pilot, budgets, (1.0 - share) / FIRST, have, most_paths, 0.0)
     blocks = 2.0 * np.ceil(np.maximum(paths / BLOCK_PATHS, fewest) / 2.0)
     power = LENS_POWER if lens else PLACES_POWER
