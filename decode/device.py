@@ -1,8 +1,10 @@
 """The backend that decodes: Dr.Jit on LLVM or CUDA, and how NumPy planes reach it.
 
-Dr.Jit reads a NumPy array in place (LLVM) and its results are NumPy arrays without a copy. Two traps are handled
-here. It loads whole packets, so a mapped array is read past its end when its size is no multiple of the packet; and it
-has no 16-bit integers, so a uint16 plane is read as 32-bit words and split in the kernel (5 x faster than converting).
+Dr.Jit reads a NumPy array in place (LLVM) and its results are NumPy arrays without a copy. Three traps are handled
+here. It loads whole packets, so a mapped array is read past its end when its size is no multiple of the packet. It
+compiles one kernel for arrays that start at a packet and another for those that do not, so chance would decide what is
+compiled. And it has no 16-bit integers: a uint16 plane is read as 32-bit words and split in the kernel (5 x faster than
+converting).
 """
 
 from dataclasses import dataclass
@@ -21,6 +23,8 @@ Lanes = Any
 
 # No packet of any backend is wider than this many values.
 PACKET = 64
+# LLVM's packets have at most this many values (AVX-512), and an array is aligned where it starts at a multiple of them.
+ALIGNED = 16
 
 
 @lru_cache(maxsize=1)
@@ -74,7 +78,7 @@ class Device:
             raise DecodeError(
                 f"frames are {flat.dtype}: convert them to uint8, uint16 or float32 digital numbers"
             )
-        lanes = kind(padded(flat))
+        lanes = kind(packets(flat))
         return types.Float(lanes if pixels is None else dr.gather(kind, lanes, pixels))
 
     def image(self, values: Lanes, shape: tuple[int, int]) -> NDArray[Any]:
@@ -85,14 +89,19 @@ class Device:
         return found.reshape(shape)
 
 
-def padded(flat: NDArray[Any]) -> NDArray[Any]:
-    """The same values (n,) where reading up to the next whole packet stays inside their buffer."""
-    missing = -flat.size % PACKET
-    if not missing or _room_after(flat) >= missing * flat.itemsize:
+def packets(flat: NDArray[Any]) -> NDArray[Any]:
+    """The same values (n,) at the start of a packet, in a buffer that reaches to the end of their last one: a copy where
+    the array does not lie so (bytes always do where NumPy allocates them, at multiples of 16).
+    """
+    missing, alignment = -flat.size % PACKET, ALIGNED * flat.itemsize
+    if flat.ctypes.data % alignment == 0 and (
+        not missing or _room_after(flat) >= missing * flat.itemsize
+    ):
         return flat
-    padded = np.zeros(flat.size + missing, flat.dtype)
-    padded[: flat.size] = flat
-    return padded[: flat.size]
+    buffer = np.zeros((flat.size + missing) * flat.itemsize + alignment, np.uint8)
+    found = buffer[-buffer.ctypes.data % alignment :][: flat.nbytes].view(flat.dtype)
+    found[:] = flat
+    return found
 
 
 def _room_after(flat: NDArray[Any]) -> int:

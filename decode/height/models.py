@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from decode.device import Device, Lanes, padded
+from decode.device import Device, Lanes, packets
 from decode.height.calibrated_view import CalibratedView
 from decode.height.rig_geometry import Arithmetic, Ray, Rig
 from scenes.acquisition.patterns import Axis
@@ -65,7 +65,7 @@ class Pixels:
     def image_lanes(self, values: NDArray[np.float64]) -> Lanes:
         """A float64 image (row, col) as lanes."""
         whole = np.ascontiguousarray(values, dtype=np.float64)
-        return self.real(self.device.types.Float64(padded(whole.reshape(-1))))
+        return self.real(self.device.types.Float64(packets(whole.reshape(-1))))
 
 
 class Solver(ABC):

@@ -73,6 +73,26 @@ for name, size in itertools.product(("uint8", "uint16", "float32"), (67, 1000, 1
     assert done.returncode == 0, f"{done.stdout}status {done.returncode}: {done.stderr}"
 
 
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_where_an_array_lies_compiles_no_new_kernel(device: Device, dtype: type) -> None:
+    """NumPy allocates at any multiple of 16 bytes, and a view starts at any element."""
+    dr = device.dr
+
+    def compiled(start: int) -> int:
+        plane: NDArray[Any] = memory[start : start + 256 * np.dtype(dtype).itemsize].view(dtype)
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            assert (device.plane(plane) + 3.0).numpy().sum() == 256 * 3
+            kernels = dr.kernel_history([dr.KernelType.JIT])
+        assert kernels
+        return sum(not kernel["cache_hit"] for kernel in kernels)
+
+    memory = np.zeros(2048, np.uint8)
+    packet = -memory.ctypes.data % 64
+    compiled(packet)
+    assert [compiled(packet + offset) for offset in (2, 4, 16, 32, 64)] == [0] * 5
+
+
 def test_another_rig_or_exposure_time_compiles_no_new_kernel(device: Device) -> None:
     """A data set of random rigs would else spend its time in the compiler."""
     patterns = PhaseShift(periods_px=(16.0, 80.0))
