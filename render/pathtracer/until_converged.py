@@ -92,8 +92,8 @@ def trace(
     surfaces
         Geometry from `render.surfaces`, to reuse it across calls.
     render_noise
-        Stop when 95 % of the lit pixels have render noise below this fraction of the sensor's noise; None: the scene's
-        ``sampling.render_noise``, unless `samples` is given.
+        Stop when each label of ``sampling.labels`` has at most this share of the sensor's noise in the height, both as RMS
+        over lit pixels; None: the scene's ``sampling.render_noise``, unless `samples` is given.
 
     Returns
     -------

@@ -42,6 +42,17 @@ def centre(truth: Truth, label: str) -> tuple[int, int, float]:
     return row, col, float(truth.height_mm[row, col])
 
 
+@pytest.mark.parametrize(("name", "label"), [*MIRRORS, ("matt-deflectometry", "mirror")])
+def test_light_is_traced_until_the_mirror_is_quiet(name: str, label: str) -> None:
+    """Paint shows no image of a screen: the phase of its few fringes has no end of noise."""
+    scene = scenes.load(name, {"camera.resolution": [40, 30]})
+    noise = render.trace(scene, render_noise=0.5).render_noise
+    assert noise is not None and noise.met
+    assert set(noise.reached) == {label}
+    # Were paint judged, it would take 3000 paths a pixel; the lens takes 300.
+    assert noise.paths < 1000 * 40 * 30
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "label"), MIRRORS)
 def test_noise_free_mirrors_are_measured_to_microradians_and_nanometres(
