@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import render
 import scenes
@@ -14,6 +15,7 @@ from tests.render import rigs
 from tests.render.oracle import compare
 
 Entries = dict[str, Any]
+Floats = NDArray[np.float64]
 
 BOTH = {"axes": ("column", "row"), "periods_px": (24.0,)}
 
@@ -38,6 +40,15 @@ def curved(material: str) -> list[Entries]:
     """A cap on white paint, whose rim it also lights."""
     cap = {"kind": "cap", "radius_mm": 20.0, "height_mm": 2.0, "rings": 24, "segments": 48}
     return [*rigs.plane(), {"label": "cap", "material": material, "smooth": True, "shape": cap}]
+
+
+def reflectance(cosine: Floats) -> Floats:
+    """Fresnel's of the mirror's metal for unpolarised light, by the angle of incidence."""
+    index = 1.48 - 5.25j
+    inside = np.sqrt(1 - (1 - cosine**2) / index**2)
+    s = np.abs((cosine - index * inside) / (cosine + index * inside)) ** 2
+    p = np.abs((index * cosine - inside) / (index * cosine + inside)) ** 2
+    return np.asarray((s + p) / 2)
 
 
 @pytest.mark.slow
@@ -69,18 +80,28 @@ def test_mirrored_radiance_falls_with_the_angle_and_the_place_on_the_screen(fall
     _, way = camera.rays(camera.pixel_centres())
     towards = way * [1.0, 1.0, -1.0]
     normal = np.array([60.0, 0.0, -150.0]) / np.hypot(60.0, 150.0)
-    # Complex Fresnel of unpolarised light by the angle of incidence.
-    cosine, index = -way[..., 2], 1.48 - 5.25j
-    inside = np.sqrt(1 - (1 - cosine**2) / index**2)
-    s = np.abs((cosine - index * inside) / (cosine + index * inside)) ** 2
-    p = np.abs((index * cosine - inside) / (index * cosine + inside)) ** 2
     u, v = truth.columns_px[0] - 48.0, truth.rows_px[0] - 40.0
     share = 1 + vignetting[0] * (u**2 + v**2) / (48.0**2 + 40.0**2)
-    expected = 100.0 * (s + p) / 2 * (-towards @ normal) ** falloff * share
+    expected = 100.0 * reflectance(-way[..., 2]) * (-towards @ normal) ** falloff * share
     whole = truth.lit_by[0] & ((np.abs(u) < 44) & (np.abs(v) < 36))
     assert whole.mean() > 0.3
     # A pixel averages over 2.5 mm, in which the light's curvature changes the mean by a thousandth.
     np.testing.assert_allclose(white[whole], expected[whole], rtol=2e-3)
+
+
+def test_mirror_shows_a_screen_up_to_its_foot() -> None:
+    """The screen stands on the mirror, where the camera's view ends: rays reach it after less than a millimetre."""
+    camera = Pinhole.model_validate(rigs.pinhole(x_mm=80.0)).projection()
+    left_mm = camera.points_at(-1.0, np.array([[0.0, 0.0], [0.0, camera.height]]))[:, 0].min()
+    pose = {"origin_mm": (left_mm, 0.0, 80.0), "target_mm": (100.0, 0.0, 80.0)}
+    found = scene(screen(pose=pose), rigs.plane("mirror"), depth=1)
+    white = render.trace(found, samples=16).total[0, 0]
+    pixel = camera.pixel_centres()
+    assert camera.points_at(0.0, pixel - [0.5, 0.0])[..., 0].min() < left_mm + 1.0 - 0.1
+    _, way = camera.rays(pixel)
+    # Further right, the screen's top is seen.
+    half = np.s_[:, : camera.width // 2]
+    np.testing.assert_allclose(white[half], 100.0 * reflectance(-way[..., 2])[half], rtol=2e-3)
 
 
 @pytest.mark.parametrize(("height_mm", "share"), [(100.0, 0.5), (-30.0, 0.0), (300.0, 0.0)])
