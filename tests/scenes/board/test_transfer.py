@@ -13,6 +13,22 @@ from scenes.board.printing import printed
 from scenes.support.errors import ImpossibleError, SceneError
 
 STENCIL_MM = 0.12
+# All figures by area ratio that were found in print (docs/boards.md): area ratio, mean, coefficient of variation, source.
+PUBLISHED = [
+    (
+        0.30,
+        0.05,
+        None,
+        "T. Lentz, SMT007 Magazine, July 2019: lower end of what powders of types 3 to 6 gave",
+    ),
+    (0.50, 0.60, None, "the same, upper end"),
+    (
+        0.66,
+        0.80,
+        0.10,
+        "the industry's limit of 80 % at IPC-7525's 0.66; SMT007 Magazine, March 2018, p. 50: 10 % is under control",
+    ),
+]
 PARTS: list[dict[str, Any]] = [
     {"package": "chip", "size": "0402", "name": "R1", "position_mm": [-6.0, 3.0]},
     {"package": "chip", "size": "0402", "name": "C12", "position_mm": [-6.0, -3.0]},
@@ -70,6 +86,19 @@ def test_mean_and_cv_of_4232_prints_are_within_two_points_of_the_documented_curv
     # A 64-corner polygon's area ratio is 4e-4 above a circle's; the mean's slope there is at most 4.
     assert abs(share.mean() - mean) < 5 * cv * mean / np.sqrt(len(share)) + 4 * 4e-4
     assert abs(share.std() / share.mean() - cv) < 5 * error + 0.01 * cv
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("ratio", "mean", "cv", "source"), PUBLISHED, ids=[str(row[0]) for row in PUBLISHED]
+)
+def test_prints_are_within_two_points_of_published_figures(
+    ratio: float, mean: float, cv: float | None, source: str
+) -> None:
+    share = np.concatenate([balls(ratio, seed) for seed in (2, 3)])
+    assert abs(share.mean() - mean) < 0.02, source
+    if cv is not None:
+        assert abs(share.std() / share.mean() - cv) < 0.02, source
 
 
 def test_samples_are_the_prints_of_a_run_that_clogs_and_is_wiped() -> None:
