@@ -1,5 +1,6 @@
 """How planes reach the kernel: every type and layout, and no read past the end."""
 
+import itertools
 import sys
 from dataclasses import replace
 from typing import Any
@@ -9,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import decode
-from decode.device import Device
+from decode.device import Device, packets
 from scenes.acquisition.patterns import PhaseShift
 from scenes.rig.devices import LookAt
 from scenes.support.errors import DecodeError
@@ -54,7 +55,7 @@ def test_no_kernel_reads_past_the_end_of_a_stack() -> None:
     code = """
 import ctypes, itertools, mmap
 import numpy as np
-from decode.device import Device
+from decode.device import Device, packets
 pages = mmap.mmap(-1, 3 * mmap.PAGESIZE)
 at = ctypes.addressof(ctypes.c_char.from_buffer(pages))
 libc = ctypes.CDLL(None)
@@ -71,6 +72,20 @@ for name, size in itertools.product(("uint8", "uint16", "float32"), (67, 1000, 1
 """
     done = program(code)
     assert done.returncode == 0, f"{done.stdout}status {done.returncode}: {done.stderr}"
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32, np.float64])
+def test_arrays_start_where_a_packet_does_and_reach_its_end(dtype: type) -> None:
+    memory: NDArray[Any] = np.arange(4096, dtype=dtype)
+    for size, start in itertools.product((1, 15, 64, 67, 200, 1001), range(24)):
+        flat = memory[start : start + size]
+        found = packets(flat)
+        assert np.array_equal(found, flat)
+        assert found.ctypes.data % (16 * flat.itemsize) == 0
+        owner = found.base
+        assert owner is not None
+        end = owner.ctypes.data + owner.nbytes
+        assert found.ctypes.data + -(-size // 64) * 64 * flat.itemsize <= end
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
