@@ -52,8 +52,8 @@ RMS: root mean square error. Predicted: the standard deviation that the decoder 
 five predicted standard deviations. One exposure: RMS of the middle exposure with saturation ignored.
 
 The cameras of `emva1288` sensors blur by diffraction, 3.3 pixels across at f/8. A perfectly sharp lens (`--set sensor.psf=none`) would
-have RMS errors of 3.2 instead of 4.7 µm on the base of `bench`, 4.7 instead of 9.2 on its ink and 10.6 instead of 17.1 on its
-solder, 2.4 instead of 9.4 µm on `ink`; errors of pad volumes would be −0.9 instead of −2.3 % on `spi-four` and +0.1 instead of −6.7 %
+have RMS errors of 3.1 instead of 4.3 µm on the base of `bench`, 4.6 instead of 9.2 on its ink and 9.1 instead of 17.1 on its
+solder, 2.4 instead of 9.3 µm on `ink`; errors of pad volumes would be −0.9 instead of −2.3 % on `spi-four` and +0.9 instead of −6.2 %
 on `spi`. Blur acts next to edges and on solder, where brightness changes within a fringe.
 """
 
