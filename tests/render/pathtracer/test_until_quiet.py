@@ -303,6 +303,35 @@ def test_paths_meet_the_target_with_minimum_work_when_variances_are_known(
     assert PILOT_PLACES % 2 == 0
 
 
+def test_places_go_to_edges_whose_direct_light_matters() -> None:
+    """Behind a lens, places come in fours; an edge that matters a billion times less than another gets none of them."""
+    shape = (1, 20, 40)
+    one = np.ones(shape)
+    scatter = np.zeros((2, *shape))
+    scatter[..., 10], scatter[..., 30] = 0.5, 0.5e-9
+    every = np.ones(shape[1:], np.bool_)
+    phasor = one.astype(np.complex128)
+    pilot = Pilot(
+        np.ones(shape[1:], np.uint16),
+        every,
+        every,
+        every,
+        phasor,
+        phasor,
+        one,
+        np.ones((1, 1)),
+        (0.0 * one, 0.0 * one),
+        0.01 * one[0],
+        0.0 * scatter,
+        scatter,
+    )
+    blocks = blocks_needed(pilot, {1: 1.0}, 1 << 20, indirect=False, lens=False)
+    places = blocks.places.reshape(shape[1:])
+    assert (places[:, 10] > 4).all()
+    assert (places[:, 10] % 4 == 0).all()
+    assert (np.delete(places, 10, axis=1) == 2).all()
+
+
 # The few pixels of some labels may miss so small a target.
 @pytest.mark.filterwarnings("ignore:noise of light paths")
 @pytest.mark.parametrize("name", ["step", "bench"])
