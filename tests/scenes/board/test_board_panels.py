@@ -15,6 +15,7 @@ import render
 import scenes
 from evaluation.inspection.spi_csv import write_spi_csv
 from scenes.board.board import ParametricBoard
+from scenes.board.extras.board_panel import BoardPanel
 from scenes.board.paste import Paste
 from scenes.board.printing import artwork, printed
 from scenes.board.surface import surfaces
@@ -154,6 +155,16 @@ def test_turned_copies_are_the_board_turned(tmp_path: Path, turn_deg: int) -> No
     for a_, b_ in zip(*printed_on, strict=True):
         assert b_.volume_mm3 == pytest.approx(a_.volume_mm3, rel=1e-9)
         assert b_.size_mm == pytest.approx(a_.size_mm if upright else a_.size_mm[::-1])
+
+
+def test_copies_turned_differently_stand_at_the_pitch_wherever_the_board_is() -> None:
+    box = (3.0, 20.0, 13.0, 28.0)
+    panel = BoardPanel(rows=2, columns=2, turns_deg=(0, 180), pitch_mm=(12.0, 10.0))
+    frames = [place(shapely.box(*box)).bounds for place in panel.places(box)]
+    steps = [(0, 0), (12, 0), (0, 10), (12, 10)]
+    assert frames == [(3 + x, 20 + y, 13 + x, 28 + y) for x, y in steps]
+    (corner,) = (place(shapely.Point(3.0, 20.0)) for place in panel.places(box)[1:2])
+    assert (corner.x, corner.y) == (25.0, 28.0)
 
 
 def test_a_copy_is_a_print_of_its_own_and_the_first_is_as_without_a_panel() -> None:

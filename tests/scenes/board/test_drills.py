@@ -119,6 +119,18 @@ def test_routed_arcs_go_round_their_centre(tmp_path: Path, turn: str, sign: floa
         assert not hole.outline.contains(shapely.Point(2.0, -2.0 * sign))
 
 
+@pytest.mark.parametrize("turn", ["G02", "G03"])
+def test_an_arc_by_its_radius_is_the_one_by_its_centre(tmp_path: Path, turn: str) -> None:
+    """A quarter turn about (3, 0) or (0, 3), of 4.24 mm between its ends."""
+    start, middle = "G00X0.0Y0.0\nM15\n", {"G02": "I3.0J0.0", "G03": "I0.0J3.0"}[turn]
+    by_radius, by_centre = (
+        read_drills(write(tmp_path, f"{METRIC}{start}{turn}X3.0Y3.0{words}\nM16\nM30\n"))[0].outline
+        for words in ("A3.0", middle)
+    )
+    assert by_radius.area == pytest.approx(np.pi / 2 * 3.0 * 0.8 + np.pi / 4 * 0.8**2, rel=ROUND)
+    assert by_radius.symmetric_difference(by_centre).area < 1e-6
+
+
 def test_a_whole_circle_is_routed_by_its_centre_alone(tmp_path: Path) -> None:
     (ring,) = read_drills(write(tmp_path, METRIC + "G00X0.0Y0.0\nM15\nG03I2.0J0.0\nM16\nM30\n"))
     assert ring.outline.area == pytest.approx(2 * np.pi * 2.0 * 0.8, rel=ROUND)

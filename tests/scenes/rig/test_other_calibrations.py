@@ -10,6 +10,7 @@ import scipy.io
 import yaml
 from scipy.spatial.transform import Rotation
 
+from scenes.rig.colmap_files import colmap_nodes
 from scenes.rig.opencv_calibration import Pair, Source
 from scenes.support.errors import FileError
 from tests.scenes.rig.test_opencv_calibration import (
@@ -173,6 +174,29 @@ def test_colmap_texts_are_read(tmp_path: Path, names: Any) -> None:
     np.testing.assert_allclose(pair.R, R, atol=1e-12)
     np.testing.assert_allclose(pair.t_mm, T, rtol=1e-12)
     assert (pair.first.size, pair.second.size) == ((2592, 1944), (1280, 800))
+
+
+@pytest.mark.parametrize(
+    ("model", "params", "focal", "distortion"),
+    [
+        ("SIMPLE_PINHOLE", (9, 4, 3), (9, 9), (0, 0, 0, 0)),
+        ("PINHOLE", (9, 8, 4, 3), (9, 8), (0, 0, 0, 0)),
+        ("SIMPLE_RADIAL", (9, 4, 3, 0.1), (9, 9), (0.1, 0, 0, 0)),
+        ("RADIAL", (9, 4, 3, 0.1, 0.2), (9, 9), (0.1, 0.2, 0, 0)),
+        ("OPENCV", (9, 8, 4, 3, 0.1, 0.2, 0.3, 0.4), (9, 8), (0.1, 0.2, 0.3, 0.4)),
+    ],
+)
+def test_parameters_of_colmaps_models_are_in_colmaps_order(
+    model: str, params: tuple[float, ...], focal: tuple[float, float], distortion: tuple[float, ...]
+) -> None:
+    """Focal lengths 9 and 8, centre (4, 3): src/colmap/sensor/models.h of COLMAP."""
+    text = f"1 {model} 8 6 {' '.join(map(str, params))}\n"
+    nodes = colmap_nodes(text, Path("cameras.txt"))
+    assert nodes is not None
+    (camera,) = nodes["COLMAP cameras"].values()
+    expected = [[focal[0], 0, 3.5], [0, focal[1], 2.5], [0, 0, 1]]
+    np.testing.assert_array_equal(camera["matrix"], expected)
+    assert tuple(camera["distortion"]) == distortion
 
 
 def test_colmap_texts_without_scale_images_or_known_lens_are_refused(tmp_path: Path) -> None:
