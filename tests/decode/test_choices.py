@@ -80,6 +80,8 @@ def test_region_of_interest_has_the_full_decodes_values(
         ({"c_px_per_mm": "4"}, "c_px_per_mm is '4': give a number"),
         ({"gamma": [2.2]}, "give a number, or 'estimate'"),
         ({"gamma": np.float32(9.0)}, "use 0.2 to 5"),
+        ({"known_point": (10, 20, np.nan)}, "give row, column and height in mm"),
+        ({"known_point": (10, 20)}, "give row, column and height in mm"),
         ({"height_range_mm": 3.0}, "lowest and the highest"),
     ],
 )
