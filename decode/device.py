@@ -94,9 +94,7 @@ def packets(flat: NDArray[Any]) -> NDArray[Any]:
     the array does not lie so (bytes always do where NumPy allocates them, at multiples of 16).
     """
     missing, alignment = -flat.size % PACKET, ALIGNED * flat.itemsize
-    if flat.ctypes.data % alignment == 0 and (
-        not missing or _room_after(flat) >= missing * flat.itemsize
-    ):
+    if flat.ctypes.data % alignment == 0 and _room_after(flat) >= missing * flat.itemsize:
         return flat
     buffer = np.zeros((flat.size + missing) * flat.itemsize + alignment, np.uint8)
     found = buffer[-buffer.ctypes.data % alignment :][: flat.nbytes].view(flat.dtype)
