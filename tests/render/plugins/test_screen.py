@@ -9,7 +9,10 @@ from numpy.typing import NDArray
 
 import render
 import scenes
+from render.plugins.screen_light import screen_shape
+from render.plugins.variant import use
 from scenes import Pinhole, Screen
+from scenes.acquisition.pattern_basis import basis
 from scenes.support.errors import RenderError
 from tests.render import rigs
 from tests.render.oracle import compare
@@ -104,9 +107,12 @@ def test_mirror_shows_a_screen_up_to_its_foot() -> None:
     np.testing.assert_allclose(white[half], 100.0 * reflectance(-way[..., 2])[half], rtol=2e-3)
 
 
-@pytest.mark.parametrize(("height_mm", "share"), [(100.0, 0.5), (-30.0, 0.0), (300.0, 0.0)])
+@pytest.mark.parametrize(
+    ("height_mm", "share"), [(100.0, 0.5), (4.0, 0.255), (-30.0, 0.0), (300.0, 0.0)]
+)
 def test_screen_in_the_cameras_view_is_refused(height_mm: float, share: float) -> None:
-    """Halfway to the plane, where the field is 30 mm wide, below the plane, and above the camera; it faces the ground far away."""
+    """Halfway to the plane, where the field is 30 mm wide; among the heights measured, where it is 58.8 mm wide; below the plane, and
+    above the camera. It faces the ground far away."""
     pose = {"origin_mm": (0.0, 0.0, height_mm), "target_mm": (0.0, 0.0, -1e3)}
     narrow = screen(size_mm=(15.0, 160.0), pose=pose)
     camera = rigs.pinhole(pose={"origin_mm": (0.0, 0.0, 200.0), "target_mm": (0.0, 0.0, 0.0)})
@@ -145,3 +151,19 @@ def test_mixed_rigs_and_impossible_screens_are_refused() -> None:
         rigs.scene(camera, one, objects=mirror)
     with pytest.raises(RenderError, match="no counterpart"):
         render.mitsuba_scene(scene(screen(falloff=1.0), mirror))
+
+
+@pytest.mark.parametrize("frame", [0, 4])
+def test_mitsubas_screen_shows_the_frame(frame: int) -> None:
+    """A viewer sees column 0 at the left, where the bitmap ends."""
+    use()
+    shown = Screen.model_validate(screen())
+    patterns = scene(screen(), rigs.plane("mirror")).patterns
+    of = patterns.frames()[frame]
+    entry = screen_shape(shown, basis(patterns, shown, shown.resolution), frame)
+    bitmap = np.array(entry["emitter"]["radiance"]["data"])[..., 0]
+    light = bitmap[0, ::-1] if of.axis == "column" else bitmap[:, 0]
+    pixels = shown.resolution[0 if of.axis == "column" else 1]
+    at = (np.arange(light.size) + 0.5) / light.size * pixels
+    # float32 of 100 W/(m2 sr).
+    np.testing.assert_allclose(light, 100.0 * shown.emit(patterns.commanded(of, at)), atol=1e-5)

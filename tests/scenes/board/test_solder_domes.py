@@ -4,14 +4,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shapely
 
 import render
 import scenes
 from scenes.board.board import ParametricBoard
 from scenes.board.board_solids import bodies
-from scenes.board.extras.solder_domes import domes
+from scenes.board.extras.solder_domes import domes, on_domes
 from scenes.board.printing import artwork, printed
 from scenes.labels.pad_truth import truth_of
+from scenes.shapes.heightfield import Heightfield
+from scenes.shapes.tessellation import tessellate
 
 # Round pads of 0.5 mm, 1 mm apart.
 BALLS = {
@@ -76,6 +79,16 @@ def test_paste_is_as_high_above_domes_as_above_flat_pads() -> None:
     assert np.allclose(
         paste[1].vertices[:, 2] - paste[0].vertices[:, 2], rise, atol=5e-3 * HEIGHT_MM
     )
+
+
+def test_paste_wider_than_its_pad_lies_on_the_dome_and_on_the_plane_around_it() -> None:
+    of = board(BALLS, dome_mm=HEIGHT_MM)
+    mesh = tessellate(shapely.box(-0.4, -0.4, 0.4, 0.4), 0.02)
+    field = Heightfield(mesh.xy_mm, mesh.faces, mesh.rims, np.full(len(mesh.xy_mm), 0.1))
+    r = np.hypot(*field.xy_mm.T)
+    rise = HEIGHT_MM * np.maximum(1 - (r / 0.25) ** 2, 0.0)
+    # As in the dome itself.
+    np.testing.assert_allclose(on_domes(field, domes(of, artwork(of))), rise, atol=5e-3 * HEIGHT_MM)
 
 
 def test_each_pad_of_a_hasl_board_has_a_dome_of_its_own_and_other_finishes_none() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from scenes.rig.devices import LookAt, Pinhole
-from scenes.rig.projection import distort, distortion_jacobian, undistort
+from scenes.rig.projection import distort, distortion_jacobian, monotone_radius, undistort
 
 LENS = (-0.12, 0.05, 8e-3, -6e-3, 0.04)
 X, Y = np.random.default_rng(0).uniform(-0.6, 0.6, (2, 200))
@@ -28,6 +28,15 @@ def test_jacobian_is_that_of_central_differences(term: int) -> None:
 
 def test_undistorting_inverts_distorting() -> None:
     np.testing.assert_allclose(undistort(*distort(X, Y, LENS), LENS), (X, Y), atol=1e-9)
+
+
+@pytest.mark.parametrize(("term", "power"), [(0, 2), (1, 4), (4, 6)])
+def test_radius_grows_up_to_where_its_derivative_is_zero(term: int, power: int) -> None:
+    """Of r (1 + k r^n) that is where (n + 1) k r^n = -1."""
+    k1, k2, p1, p2, k3 = np.where(np.arange(5) == term, -0.3, 0.0).tolist()
+    turn = (1.0 / ((power + 1) * 0.3)) ** (1.0 / power)
+    assert monotone_radius((k1, k2, p1, p2, k3)) == pytest.approx(turn, rel=1e-9)
+    assert monotone_radius((-k1, -k2, p1, p2, -k3)) == np.inf
 
 
 def test_pinhole_without_coefficients_is_ideal() -> None:

@@ -191,6 +191,8 @@ def test_rotations_are_rotations_whatever_their_rounding_and_mirrors_are_none() 
         rotation = cv2.Rodrigues(rng.normal(0.0, 1.0, 3))[0]
         assert _is_rotation(rotation)
         assert not _is_rotation(-rotation)
+        # Nor is what also shrinks or stretches.
+        assert not _is_rotation(0.9 * rotation) and not _is_rotation(1.1 * rotation)
 
 
 @pytest.mark.parametrize("name", ["rig.yml", "rig.xml", "rig.json"])

@@ -105,6 +105,16 @@ def test_rendered_shell_is_open_at_its_foot_alone() -> None:
     assert shell.face_normals[:, 2].min() > -0.1
 
 
+def test_foot_of_a_shell_is_inside_the_outline_by_the_undercut() -> None:
+    field = rough(OUTLINES["ring"])
+    vertices, _ = field.shell(0.04, 0.0, 0.002)
+    foot = shapely.points(vertices[len(field.xy_mm) :, :2])
+    assert shapely.contains(OUTLINES["ring"], foot).all()
+    # At a corner of a 64-gon, where sides turn by 5.6 degrees, the cosine of half of that less: 0.12 %.
+    away = shapely.distance(foot, OUTLINES["ring"].boundary)
+    np.testing.assert_allclose(away, 0.002, rtol=1.3e-3)
+
+
 def test_crossed_outline_is_refused() -> None:
     with pytest.raises(MeshError, match="crosses itself"):
         tessellate(shapely.Polygon([(0, 0), (1, 1), (1, 0), (0, 1)]), 0.1)
