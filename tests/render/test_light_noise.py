@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 
-from render.light_noise import phase_variance, through, weights
+import render
+import scenes
+from render.light_noise import phase_variance, sensor_noise, through, weights
+from tests.render import rigs
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -37,3 +40,18 @@ def test_a_lens_that_does_not_blur_changes_no_weight() -> None:
     assert weights(phasor, phasor, mm_per_rad, np.ones((1, 1))) == pytest.approx(
         sharp, rel=1e-5, abs=1e-5
     )
+
+
+@pytest.mark.parametrize("period_px", [16.0, 32.0])
+def test_height_per_phase_is_the_fringes_over_the_sine_of_the_angle(period_px: float) -> None:
+    """Both telecentric: a fringe of p mm on a plane across the projector's axis moves by h sin(angle) / p at a height h."""
+    devices = rigs.telecentric(), rigs.telecentric_projector()
+    scene = rigs.scene(*devices, objects=rigs.plane(), patterns={"periods_px": (period_px,)})
+    bright = scenes.parse(scenes.dumps(scene), {"exposures.times_ms": [10.0]})
+    noise = sensor_noise(render.trace(bright, samples=4, depth=1))
+    assert noise is not None
+    measured = noise.mm_per_rad[0] > 0.0
+    assert measured.mean() > 0.9
+    fringe_mm = period_px * 72.0 / 128
+    expected = fringe_mm / (2 * np.pi * 80.0 / np.hypot(80.0, 200.0))
+    np.testing.assert_allclose(noise.mm_per_rad[0][measured], expected, rtol=1e-6)

@@ -66,6 +66,15 @@ def test_direction_of_a_cell_is_found_in_that_cell() -> None:
     np.testing.assert_allclose(density * (2 * np.pi * ENTRIES) / CELLS, np.arange(CELLS), rtol=1e-5)
 
 
+def test_directions_below_the_surface_are_never_drawn_nor_those_of_lanes_at_rest() -> None:
+    learnt = guide(np.ones(CELLS, np.float32))
+    way = dr.normalize(mi.Vector3f(0.6, 0.2, mi.Float([0.5, -0.5, 0.5])))
+    active = mi.Bool([True, True, False])
+    density = learnt.density(dr.zeros(mi.UInt32, 3), way, active).numpy()
+    # Uniform over the hemisphere, but for a table of one entry for each cell.
+    np.testing.assert_allclose(density, [1 / (2 * np.pi), 0.0, 0.0], rtol=1e-6)
+
+
 def mean_light(scene: Scene, samples: int, repeats: int, start: int) -> NDArray[np.float64]:
     """(repeat,): the image's mean indirect light, first channel."""
     seeds = np.random.default_rng(start).integers(0, 2**31, repeats)

@@ -130,6 +130,7 @@ def test_view_without_fringes_reaches_no_phase_error() -> None:
     assert light.phase_error is not None
     assert not light.phase_error.met
     assert light.phase_error.reached_rad is None
+    assert light.phase_error.pixels == 0
 
 
 def test_light_without_noise_ends_after_the_first_stage() -> None:

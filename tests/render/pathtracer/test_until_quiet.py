@@ -402,6 +402,12 @@ def test_blocks_of_later_stages_have_random_numbers_of_their_own() -> None:
     assert (halves.first[1::2] - first >= 1 << 24).all()
 
 
+def test_paths_are_those_of_all_blocks() -> None:
+    pixel, number, paths = np.array([[0, 1], [4, 6], [64, 16]], np.uint32)
+    blocks = Blocks(pixel, number, paths // 8, paths, np.zeros_like(pixel))
+    assert blocks.total_paths == blocks.halved().total_paths == 4 * 64 + 6 * 16
+
+
 def test_indirect_light_is_averaged_within_its_label() -> None:
     """So where each label is evenly lit its light stays, up to its border; a pixel alone in its label has no neighbours."""
     label = np.ones((30, 40), np.uint16)
