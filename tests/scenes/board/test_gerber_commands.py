@@ -134,6 +134,8 @@ FILES: dict[str, tuple[str, list[float]]] = {
         "%AMEX*$3=$1x2-(1+$2)/2*21,1,$3,-$2+1,0,0,0*%\n%ADD10EX,1.0X0.5*%\nD10*\n" + at(0, 0, "D03"),
         [1.25 * 0.5],
     ),
+    "signs": ("%AMSI*21,1,+$1,--$2,+0,-0,0*%\n%ADD10SI,1.0X0.5*%\nD10*\n" + at(0, 0, "D03"), [0.5]),
+    "percent signs in and after a comment": (f"%ADD10R,1.0X0.5*%\nG04 scaled to 40%*%D10*\n{at(0, 0, 'D03')}", [0.5]),
     "exposure off": ("%AMEO*21,1,2,2,0,0,0*1,0,1,0,0*%\n%ADD10EO*%\nD10*\n" + at(0, 0, "D03"), [4 - np.pi / 4]),
     # The hole shows what was painted before, as apertures do not erase.
     "hole over copper": (f"{rectangle(-1, -1, 1, 1)}%ADD10C,0.8X0.4*%\nD10*\n{at(0, 0, 'D03')}", [4.0]),
@@ -263,6 +265,7 @@ REFUSED = {
         "nested too deeply",
     ),
     "thermal of gaps alone": (HEAD + "%AMT*7,0,0,1,0.5,0.8,0*%\n%ADD10T*%\nM02*", "thermal"),
+    "polygon of too many corners": (HEAD + "%ADD10P,1X1001*%\nD10*\n" + at(0, 0, "D03") + "M02*", "1001 corners"),
     "unknown primitive": (HEAD + "%AMQ*9,1,2*%\n%ADD10Q*%\nM02*", "not defined|primitive 9"),
     "endless repeat": (HEAD + BOX + "%SRX99999Y99999I1J1*%\n" + at(0, 0, "D03") + "M02*", "more than"),
     "open block": (HEAD + "%ABD12*%\n" + BOX + at(0, 0, "D03") + "M02*", "not closed"),

@@ -155,6 +155,9 @@ def test_a_gerber_boards_holes_come_from_its_drill_files(tmp_path: Path) -> None
         for h in artwork(of).holes
     }
     assert found == {(0, 0): (True, True), (1, 0): (True, False), (0, 2): (False, False)}
+    named = files | {"drill": ["b.drl"]}
+    by_name = GerberBoard.model_validate({"folder": tmp_path, "files": named, "holes": {}})
+    assert by_name.drill_paths() == (tmp_path / "b.drl",)
     # Other contents, other artwork and another identity.
     scene = scenes.load("spi", {"board": of.model_dump(mode="json", exclude_none=True)})
     before = identity(scene)["board"]
