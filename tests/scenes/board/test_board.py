@@ -14,13 +14,15 @@ from pydantic import TypeAdapter
 import scenes
 from scenes.board.board import Board, ParametricBoard
 from scenes.board.component_packages import Bga, Chip, Qfn, Qfp
-from scenes.board.defects import Contamination, _speck
+from scenes.board.defects import Contamination, Offset, Scratch, Smear, _speck
 from scenes.board.deposits import Print
 from scenes.board.pad_layout import circle, rectangle
 from scenes.board.printing import artwork, printed
 from scenes.board.surface import surfaces
 from scenes.board.transfer import Transfer
 from scenes.labels.pad_truth import BoardTruth, PadTruth, truth_of
+from scenes.shapes.materials import Printed
+from scenes.support.distribution import value_range
 from scenes.support.errors import SceneError
 
 # Square corners: triangles along arcs are not symmetric to a nanometre.
@@ -294,6 +296,31 @@ def test_every_use_of_random_numbers_has_its_own(monkeypatch: pytest.MonkeyPatch
     of_pads = [key for key in used if len(key) > 1]
     assert len(of_pads) > 100
     assert len(set(of_pads)) == len(of_pads)
+
+
+def test_layers_and_print_of_a_board_do_not_go_together() -> None:
+    thick = {"kind": "uniform", "low": 0.02, "high": 0.04}
+    paste = QUIET | {"stencil_mm": {"kind": "uniform", "low": 0.1, "high": 0.2}}
+    drawn = [
+        printed(board(FEW[:1], layers={"copper_mm": thick}, paste=paste, seed=seed))
+        for seed in range(3)
+    ]
+    copper = [(p.stackup.copper_mm - 0.02) / 0.02 for p in drawn]
+    stencil = [(p.stencil_mm - 0.1) / 0.1 for p in drawn]
+    assert max(abs(a - b) for a, b in zip(copper, stencil, strict=True)) > 1e-3
+
+
+@pytest.mark.parametrize("defect", [Offset(), Smear(), Scratch()])
+def test_faults_are_in_every_direction_where_none_is_given(
+    defect: Offset | Smear | Scratch,
+) -> None:
+    assert value_range(defect.direction_deg) == (0.0, 360.0)
+
+
+def test_sizes_left_out_are_those_of_the_scene_reference() -> None:
+    """Other ones would change every board and texture that was published with its scene alone."""
+    assert value_range(Scratch().width_mm) == (0.03, 0.12)
+    assert Printed().grain_mm == 0.2
 
 
 @pytest.mark.parametrize("inset_mm", [0.0, 0.02, 0.2])
@@ -572,6 +599,14 @@ def test_hundreds_of_pads_are_printed_in_seconds() -> None:
 def test_truth_is_the_same_after_a_file_round_trip(tmp_path: Any, few_truth: BoardTruth) -> None:
     few_truth.write(tmp_path / "labels.json")
     assert BoardTruth.read(tmp_path / "labels.json") == few_truth
+
+
+def test_files_from_before_masks_could_be_shifted_have_none(
+    tmp_path: Path, few_truth: BoardTruth
+) -> None:
+    path = tmp_path / "labels.json"
+    path.write_text(few_truth.model_dump_json(exclude={"mask_shift_mm", "damage"}))
+    assert BoardTruth.read(path) == few_truth
 
 
 def test_turned_rectangle_stays_about_its_centre() -> None:
