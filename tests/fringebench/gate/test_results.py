@@ -12,7 +12,8 @@ import pytest
 import decode
 import render
 import scenes
-from evaluation.gate.equivalence import Estimate
+from evaluation.gate.equivalence import EquivalenceTest, Estimate, Verdict
+from evaluation.gate.regression import JudgedFigure
 from fringebench.gate.baseline import Baseline, maps_path
 from fringebench.gate.cached_light import chosen_folder, light_of
 from fringebench.gate.cases import Case, plane_stack, suite
@@ -26,6 +27,7 @@ from fringebench.gate.decoders import resolve
 from fringebench.gate.error_maps import ErrorMaps
 from fringebench.gate.regression_gate import regress
 from fringebench.gate.regression_result import Regression
+from fringebench.gate.wording import sentence
 from fringebench.pages.regress_page import regress_report
 from scenes.support.errors import FileError, OutsideDecoderError, SceneError
 from tests.commands import finish, start
@@ -60,6 +62,24 @@ def test_failure_is_described_in_words_with_its_place(biased: Regression) -> Non
     others = line.split("; failed too: ")[1].split(", ")
     assert "silent" in others
     assert len(others) == len(biased.failed) - 1
+
+
+@pytest.mark.parametrize(
+    ("verdict", "said"),
+    [
+        ("worse", "worse by 2.00 µm, 5.00 µm allowed"),
+        ("undecided", "may be worse by up to 7.00 µm, 5.00 µm allowed: give more seeds"),
+        ("same", "same by 2.00 µm"),
+        ("better", "better by 2.00 µm"),
+    ],
+)
+def test_sentence_says_the_verdict_and_only_an_undecided_one_asks_for_seeds(
+    verdict: Verdict, said: str
+) -> None:
+    old, new = Estimate(0.001, 0.0, 4), Estimate(0.003, 0.0, 4)
+    test = EquivalenceTest(0.002, -0.003, 0.007, 0.005, verdict)
+    words = sentence(JudgedFigure("sweep", "cap", "bias_mm", new, old, test))
+    assert words == f"sweep / cap: mean error: 1.00 µm -> 3.00 µm, {said}"
 
 
 def test_junit_has_a_case_for_each_figure_and_a_failure_for_each_that_failed(
