@@ -63,6 +63,14 @@ def test_trace_with_given_samples_claims_no_phase_error() -> None:
     assert figures(render.trace(scene)) is None
 
 
+def test_line_on_render_noise_names_the_worst_label() -> None:
+    light: dict[str, Any] = {"target": 0.5, "met": True, "samples": 64}
+    light |= {"reached": {"base": 0.2, "cap": 0.4, "ink": None}, "cut": {"base": 0.03, "cap": 0.01}}
+    line = describe(light)
+    assert "up to 0.4 of the sensor's noise" in line
+    assert "light beyond sampling.depth: 0.03;" in line
+
+
 def test_every_command_that_traces_takes_phase_error() -> None:
     group: Any = typer.main.get_command(app)
     for name in ("run", "render", "compare", "budget", "pads", "dataset"):
