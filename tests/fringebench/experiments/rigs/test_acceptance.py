@@ -1,12 +1,17 @@
 """`fringebench accept` on rendered artefacts."""
 
 import json
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import scenes
-from fringebench.experiments.rigs.acceptance import BARS, PLANES, SPHERE, _ends, accept
+from evaluation.scoring.reference_bodies import expected_range
+from fringebench.experiments.rigs import acceptance
+from fringebench.experiments.rigs.acceptance import BARS, PLANES, SPHERE, Position, _ends, accept
 from fringebench.experiments.rigs.shared_field import common_field
 from scenes.support.errors import SceneError
 from tests.conftest import Call
@@ -37,6 +42,57 @@ def test_every_bar_has_its_length_and_is_inside_the_volume() -> None:
             for device in (scene.camera.projection(), scene.projectors[0].projection()):
                 pixels = device.project(ends)[0]
                 assert ((pixels > 0) & (pixels < (device.width, device.height))).all()
+
+
+@pytest.mark.parametrize("name", ["step", "bench"])
+def test_every_plane_is_inside_the_volume(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    planes = []
+    none = Position("none", {}, {}, 0)
+
+    def placed(_: scenes.Scene, middle: Any, tilt: Any, size: Any, __: int) -> Position:
+        corners = np.multiply([(-1, -1, 0), (-1, 1, 0), (1, -1, 0), (1, 1, 0)], [*size, 0.0]) / 2.0
+        planes.append(
+            Rotation.from_euler("xyz", [*tilt, 0.0], degrees=True).apply(corners) + middle
+        )
+        return none
+
+    monkeypatch.setattr(acceptance, "_bar", lambda *_: none)
+    monkeypatch.setattr(acceptance, "_plane", placed)
+    scene = scenes.load(name)
+    accept(scene)
+    field = common_field(scene.calibration())
+    low, high = scene.height_range_mm
+    for corners in planes:
+        assert (low <= corners[:, 2]).all()
+        assert (corners[:, 2] <= high).all()
+        assert (np.abs(corners[:, :2] - field.middle_mm) <= np.array(field.size_mm) / 2.0).all()
+    assert len({corners.tobytes() for corners in planes}) == len(PLANES)
+
+
+@pytest.mark.parametrize("worse", [0, 1])
+def test_bar_reports_the_worse_of_its_spheres(worse: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each direction has a point as far outside as another is inside, so the spheres fitted are the true ones."""
+    ends = np.array([[-5.0, 0.0, 1.0], [5.0, 0.0, 1.0]])
+    off = np.array([0.01, 0.01])
+    off[worse] = 0.05
+    # 240 points: too few for the guideline to leave one out.
+    rays = np.random.default_rng(0).normal(size=(120, 3))
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    points = [
+        np.concatenate([end + (2.0 + d) * rays, end + (2.0 - d) * rays])
+        for end, d in zip(ends, off, strict=True)
+    ]
+    sigma_mm = np.repeat(off[:, None], 240, axis=1)
+    rec = SimpleNamespace(xyz_mm=np.stack(points), sigma_mm=sigma_mm)
+    regions = [np.repeat(np.eye(2, dtype=bool)[i][:, None], 240, axis=1) for i in (0, 1)]
+    monkeypatch.setattr(acceptance, "_measure", lambda *_: (rec, regions))
+    found = acceptance._bar(scenes.load("step"), ends, 2.0, 0)
+    # From 0.05 inside to 0.05 outside.
+    assert found.error_mm["probing form"] == pytest.approx(0.1, rel=1e-6)
+    assert found.error_mm["probing form D95"] == pytest.approx(0.1, rel=1e-6)
+    assert found.error_mm["probing size"] == pytest.approx(0.0, abs=1e-6)
+    assert found.error_mm["sphere distance"] == pytest.approx(0.0, abs=1e-6)
+    assert found.noise_mm["probing form"] == pytest.approx(0.05 * expected_range(240))
 
 
 @pytest.mark.slow
