@@ -13,7 +13,7 @@ from fringebench.experiments.rigs.chart import Chart, fitting, poses
 from fringebench.experiments.rigs.data_sheet import rig_of_sheets
 from fringebench.experiments.rigs.rig_twin import twin
 from fringebench.experiments.rigs.shared_field import common_field
-from fringebench.experiments.rigs.virtual_calibration import calibrate
+from fringebench.experiments.rigs.virtual_calibration import _projector_pixel, calibrate
 from scenes import Calibration
 from scenes.rig import opencv_calibration
 from scenes.rig.opencv_calibration import Source
@@ -215,6 +215,19 @@ def test_opencv_finds_the_corners_of_the_chart(kind: str, turned: bool) -> None:
     wanted = chart.corners_mm[ids][:, :2] * (1, -1) * per_mm
     wanted += np.array([image.shape[1], image.shape[0]]) / 2 - 0.5
     np.testing.assert_allclose(pixels, wanted, atol=0.2)
+
+
+def test_projector_pixel_of_a_corner_follows_from_a_chart_seen_obliquely() -> None:
+    # A plane's projector pixels are a homography of its camera pixels; at the corner that is evaluated exactly.
+    homography = np.array([[1.5, 0.1, 200.0], [-0.05, 1.4, 90.0], [1e-3, -2e-3, 1.0]])
+    v, u = np.mgrid[0:30, 0:40].astype(np.float64)
+    x, y, w = np.moveaxis(np.stack([u, v, np.ones_like(u)], axis=-1) @ homography.T, -1, 0)
+    coordinates = np.stack([x / w, y / w], axis=-1)
+    corner = np.array([20.3, 14.6])
+    found = _projector_pixel(corner, 6.0, np.ones((30, 40), bool), coordinates)
+    wanted = homography @ [*corner, 1.0]
+    assert found is not None
+    np.testing.assert_allclose(found, wanted[:2] / wanted[2], atol=1e-6)
 
 
 @pytest.mark.slow
