@@ -68,6 +68,17 @@ def test_all_devices_look_at_the_middle_of_the_object_and_see_it_whole(
         assert len({(eye.width, eye.height, eye.fx, eye.fy) for eye in eyes}) == 1
 
 
+@pytest.mark.parametrize(
+    ("columns", "periods_px"),
+    # From 200 columns on fringes are as listed; below, as many camera pixels wide as there, up to the projector's width.
+    [(320, [32.0, 256.0, 1024.0]), (100, [64.0, 512.0, 1024.0]), (40, [160.0, 1024.0])],
+)
+def test_small_camera_sees_wider_fringes(columns: int, periods_px: list[float]) -> None:
+    patterns = map_scene("fringe-projection", "matt", (columns, columns * 3 // 4), 4).patterns
+    assert isinstance(patterns, scenes.PhaseShift)
+    assert list(patterns.periods_px) == periods_px
+
+
 def test_random_dots_are_two_and_a_half_camera_pixels_wide() -> None:
     scene = map_scene("active-stereo", "matt", (320, 240), 4)
     rig = scene.calibration()
