@@ -10,8 +10,9 @@ import pytest
 from PIL import Image
 
 import render
+from evaluation.output.report import Grid
 from fringebench.datasets.building import build
-from fringebench.datasets.data_card import _volumes, write_card
+from fringebench.datasets.data_card import _volumes, card_sections, write_card
 from fringebench.datasets.dataset_plan import DatasetPlan
 from fringebench.datasets.pictures import srgb
 from fringebench.datasets.reader import Dataset
@@ -131,6 +132,17 @@ def test_card_gives_mean_and_coefficient_of_variation_by_area_ratio() -> None:
         ["1", "80.0", "0.0"],
         ["3", "100.0", f"{np.sqrt(200 / 3):.1f}"],
     ]
+
+
+def test_card_counts_a_pad_without_defect_once_for_each_light(
+    undisturbed: Path, varied: Path
+) -> None:
+    for where, variants in ((undisturbed, 1), (varied, 2)):
+        found = Dataset(where)
+        pads = [len([p for p in s.labels["board"]["pads"] if not p["defects"]]) for s in found]
+        (volumes,) = (s.blocks for s in card_sections(found) if s.title == "Volumes")
+        assert isinstance(volumes[0], Grid)
+        assert sum(int(row[1]) for row in volumes[0].rows) == sum(pads) / variants > 0
 
 
 def test_card_counts_what_the_labels_hold(varied: Path) -> None:
