@@ -4,15 +4,17 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from fringebench.datasets import building
 from fringebench.datasets.building import build
 from fringebench.datasets.dataset_plan import DatasetPlan
-from fringebench.datasets.sample import attempt
+from fringebench.datasets.sample import attempt, failed
 from scenes.support.errors import DatasetError
 
 Checksums = Callable[[Path], dict[str, str]]
@@ -31,6 +33,22 @@ def test_two_workers_make_what_one_makes(
 ) -> None:
     build(plan, tmp_path / "two", workers=2)
     assert checksums(tmp_path / "two") == checksums(undisturbed)
+
+
+@pytest.mark.parametrize(("workers", "started"), [(1, 1), (4, 3)])
+def test_no_more_workers_start_than_are_allowed_or_have_a_sample(
+    plan: DatasetPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workers: int, started: int
+) -> None:
+    asked = []
+
+    def none(_: object, indices: Iterable[int], __: object, workers: int) -> Iterator[Any]:
+        asked.append(workers)
+        yield from ((failed(plan, index, "not made"), None) for index in indices)
+
+    monkeypatch.setattr(building, "in_processes", none)
+    with pytest.raises(DatasetError, match="not made"):
+        build(plan.model_copy(update={"count": 3}), tmp_path / "set", workers=workers)
+    assert asked == [started]
 
 
 @pytest.mark.usefixtures("here")
