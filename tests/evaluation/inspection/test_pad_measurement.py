@@ -292,6 +292,60 @@ def test_each_defect_is_judged_from_exact_heights_as_from_the_truth(
     assert table.verdicts[defect.replace("_", "-")][verdict] == gate.caught
 
 
+def test_a_short_reach_leaves_the_reference_where_it_is(
+    board: BoardTruth, heights: decode.Reconstruction
+) -> None:
+    # The mask's opening ends farther from the aperture than this reach, and is no bare board for it.
+    default, short = (
+        [pad.reference_mm for pad in measured_pads(heights, board, **reach)]
+        for reach in ({}, {"reach_mm": 0.01})
+    )
+    assert short == default
+
+
+@pytest.mark.parametrize("highest", [True, False])
+def test_figures_at_the_limits_are_accepted(board: BoardTruth, highest: bool) -> None:
+    true = board.pads[0]
+    volume = 100.0 * true.volume_mm3 / true.nominal_volume_mm3
+    area = 100.0 * true.area_mm2 / true.aperture_area_mm2
+    limits = PadLimits(
+        volume_percent=(0.0, volume) if highest else (volume, 1e3),
+        area_percent=(0.0, area) if highest else (area, 1e3),
+        missing_percent=volume,
+        peak_mm=true.peak_height_mm,
+    )
+    assert judge(true, true, limits) == ("pass",)
+
+
+@pytest.mark.parametrize(
+    ("percent", "verdict"), [(9.9, "missing"), (10.1, "insufficient"), (50.1, "pass")]
+)
+def test_a_tenth_of_the_nominal_volume_is_missing_and_half_is_insufficient(
+    board: BoardTruth, percent: float, verdict: str
+) -> None:
+    """The defaults that the reference states."""
+    true = board.pads[0]
+    pad = true.model_copy(update={"volume_mm3": percent / 100.0 * true.nominal_volume_mm3})
+    assert judge(pad, true, PadLimits()) == (verdict,)
+
+
+def test_errors_of_pads_are_those_made_on_purpose(
+    board: BoardTruth, heights: decode.Reconstruction
+) -> None:
+    percent = (1.0, -4.0, 2.0, 0.0, -1.0, 2.0)
+    measured = [
+        replace(pad, volume_mm3=(1.0 + error / 100.0) * true.volume_mm3)
+        for pad, true, error in zip(
+            measured_pads(heights, board), board.pads, percent, strict=True
+        )
+    ]
+    found = pad_errors(measured, board)
+    # Their mean is 0, and their mean square (1 + 16 + 4 + 0 + 1 + 4) / 6.
+    assert found.volume_bias_percent == pytest.approx(0.0, abs=1e-9)
+    assert found.volume_sd_percent == pytest.approx(np.sqrt(26.0 / 6.0))
+    assert found.volume_max_percent == pytest.approx(4.0)
+
+
 def test_confusion_counts_escapes_and_false_calls(
     board: BoardTruth, heights: decode.Reconstruction
 ) -> None:
