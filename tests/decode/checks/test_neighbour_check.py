@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 import decode
+from decode.checks.neighbour_check import jumps
+from decode.reconstruction import AxisPhase
 from scenes.acquisition.patterns import Frame, GrayBits, PhaseShift
 from scenes.acquisition.sensor import SimpleSensor
 from scenes.files.stack import Stack
@@ -88,6 +90,9 @@ def test_smooth_surface_that_sees_both_ends_of_the_projector_is_wrong() -> None:
     found = finding(replace(stack, patterns=stated), "columns, neighbours")
     assert found.verdict == "wrong"
     assert "first and last" in found.message
+    # Of pairs along rows and columns, nearly all of which are smooth.
+    pairs = 2 * SIZE[0] * SIZE[1]
+    assert found.value == pytest.approx(int(found.message.split()[0]) / pairs, rel=0.2)
 
 
 @pytest.mark.parametrize("patterns", [CELL_IS_PERIOD, HALF_CELLS])
@@ -122,3 +127,34 @@ def test_coordinates_out_of_order_along_epipolar_lines_are_detected(axis: str) -
     # A code half a period off lowers half of the pixels by a period, below the half before them.
     assert shifted.verdict == "wrong"
     assert shifted.value is not None and shifted.value > 0.3
+
+
+@pytest.mark.parametrize("right_mm", [35.0, -35.0])
+def test_wires_in_front_of_the_board_are_in_order(right_mm: float) -> None:
+    """Six wires of 4 px and 2.9 mm: each puts some 30 px behind it out of order, half of the board, but itself is small."""
+    made = level_rig()
+    pose = LookAt(origin_mm=(right_mm, 0.0, 50.0))
+    projector = made.projectors[0].model_copy(update={"pose": pose})
+    calibration = made.model_copy(update={"projectors": (projector,)})
+    height = np.zeros(SIZE[::-1])
+    for column in range(30, 380, 60):
+        height[:, column : column + 4] = 2.9
+    found = finding(coded(HALF_CELLS, 0.0, height, calibration), "epipolar order")
+    assert found.verdict == "ok"
+    # Six times 4 of 400 px, or less.
+    assert found.value is not None and 0.0 < found.value <= 24 / 400
+
+
+@pytest.mark.parametrize(("period_px", "verdict"), [(80, "wrong"), (300, "warning"), (700, "ok")])
+def test_rare_jumps_are_in_doubt_and_frequent_ones_wrong(period_px: int, verdict: str) -> None:
+    """A stripe of a wrong order in each fringe: two jumps along rows and none along columns, one in `period_px` pairs."""
+    column = np.tile(np.arange(8400), (100, 1))
+    order, place = np.divmod(column, period_px)
+    order += (place >= period_px // 2) & (place < period_px // 2 + 8)
+    wrapped = ((place / period_px + 0.5) % 1.0 - 0.5) * 2.0 * np.pi
+    order += wrapped < 0.0
+    phase = AxisPhase(float(period_px), wrapped.astype(np.float32), order.astype(np.int32))
+    found = jumps(phase, np.ones(column.shape, np.bool_), None, "columns")
+    assert found.verdict == verdict
+    # Next to a jump are eight pairs that are not smooth, a tenth of the shortest period.
+    assert found.value == pytest.approx(1.0 / period_px, rel=0.15)

@@ -94,6 +94,15 @@ def test_exchanged_frames_of_a_gray_code_are_detected(bits: tuple[int, int]) -> 
     assert check(exchanged(exchanged(stack, one, two), one + 1, two + 1)).wrong
 
 
+@pytest.mark.parametrize("swapped", [False, True])
+def test_codes_order_is_valued_by_its_roughness_over_the_smoothest_others(swapped: bool) -> None:
+    stack = exchanged(exchanged(large(CODE), 4, 10), 5, 11) if swapped else large(CODE)
+    found = {f.name: f for f in check(stack).findings}["column Gray code, order"]
+    # Wrong where another order is smoother by a fifth.
+    assert found.verdict == ("wrong" if swapped else "ok")
+    assert found.value is not None and (found.value > 1 / 0.8) == swapped
+
+
 @pytest.mark.parametrize("bit", [4, 6])
 @pytest.mark.parametrize("flat", [-1, -2])
 def test_white_or_black_in_place_of_a_bit_is_detected(flat: int, bit: int) -> None:
