@@ -142,6 +142,23 @@ def test_grid_of_a_camera_that_looks_along_the_baseline_stays_small() -> None:
     assert grid.plane_rad.size * grid.along_rad.size <= 4 * 8 * 160
 
 
+@pytest.mark.parametrize("from_mm", [(-8.0, 2.0, 60.0), (8.0, -14.0, 60.0)])
+@pytest.mark.parametrize("bulge", [-0.1, 0.1])
+def test_grid_holds_every_pixel_of_the_right_image(
+    from_mm: tuple[float, float, float], bulge: float
+) -> None:
+    """Of a wide lens: of barrel and pincushion either the corners or the middles of the sides are farthest out."""
+    wide = {"fx_px": 150.0, "fy_px": 150.0, "distortion": (bulge, 0.0, 0.0, 0.0, 0.0)}
+    right = EYES[1].model_copy(update=wide).projection()
+    left = EYES[0].model_copy(update={"pose": LookAt(origin_mm=from_mm)}).projection()
+    baseline = CameraBaseline.of(left, right)
+    map_px = {"column": np.zeros((right.height, right.width))}
+    grid = EpipolarGrid.of(baseline, right, map_px, np.array([-1.5, 1.5]))  # type: ignore[arg-type]
+    seen_at = baseline.angles(right.rays(right.pixel_centres())[1])
+    for nodes, angle in zip((grid.plane_rad, grid.along_rad), seen_at, strict=True):
+        assert nodes[0] <= angle.min() and angle.max() <= nodes[-1]
+
+
 def test_candidate_has_the_other_coordinate_of_its_place_on_the_line() -> None:
     column = np.arange(0.0, 60.0, 3.0)
     maps = {"column": np.tile(column, (4, 1)), "row": np.tile(5.0 * column, (4, 1))}

@@ -92,6 +92,15 @@ def test_untextured_pair_is_refused_with_the_reason() -> None:
         decode.reconstruct(stack)
 
 
+def test_matches_outside_the_working_volume_are_no_heights() -> None:
+    # The surface is between 0.5 and 2.5 mm, and disparities are searched in whole sixteens: well beyond this volume.
+    stack, _ = pair(camera(RIGHT))
+    rec = decode.reconstruct(stack, height_range_mm=(1.2, 1.8))
+    assert ((rec.height_mm >= 1.2) & (rec.height_mm <= 1.8))[rec.valid].all()
+    outside = rec.height_mm[rec.reason == Reason.OUT_OF_VOLUME]
+    assert (outside < 1.2).any() and (outside > 1.8).any()
+
+
 def test_block_matcher_measures_a_region() -> None:
     stack, height = pair(camera(RIGHT))
     rec = decode.reconstruct(stack, matcher="bm", roi=(30, 90, 60, 140))

@@ -131,6 +131,10 @@ def test_predicted_deviations_are_those_of_noisy_coordinates() -> None:
     ratio = np.std(tried, axis=0) / spread(figures, exact, sigma)
     # 200 samples of each of 1728 pixels: a deviation is known to 1 / sqrt(400), its mean over pixels to 0.1 %.
     np.testing.assert_allclose(ratio.mean(axis=-1), 1.0, atol=0.01)
+    found = two_positions(rays, Looks(SCREENS, exact, sigma, np.zeros_like(exact)))
+    height, _, *slope = np.std(tried, axis=0)
+    np.testing.assert_allclose(np.mean(height / found.sigma_mm), 1.0, atol=0.01)
+    np.testing.assert_allclose(np.mean(slope / found.slope_sigma, axis=-1), 1.0, atol=0.01)
 
 
 @pytest.mark.parametrize("camera", [PINHOLE, BENT, PARALLEL])

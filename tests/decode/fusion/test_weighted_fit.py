@@ -127,6 +127,8 @@ times = st.tuples(
 )
 @example(0, [0.0, 0.5 * np.pi, np.pi, 1.5 * np.pi], [0.25, 1.0, 4.0, 16.0], 1.0, 0.38, True)
 @example(1, [0.0, 0.5 * np.pi, np.pi, 1.5 * np.pi], [0.25, 1.0, 4.0, 16.0], 1.0, 0.38, False)
+# Four quarters and one step more.
+@example(2, [0.0, 0.5 * np.pi, np.pi, 1.5 * np.pi, 0.7], [0.25, 1.0, 4.0, 16.0], 1.0, 0.38, False)
 def test_fits_are_numpys_to_rounding(
     seed: int,
     shifts: Sequence[float],
