@@ -316,6 +316,17 @@ def test_losses_are_counted_from_the_best_quarter_at_each_frequency() -> None:
     np.testing.assert_allclose(below, 1.0 - (1.0 - lost) / 0.95, atol=0.01)
 
 
+def test_visibility_that_grows_with_frequency_is_compared_at_all_frequencies_alike() -> None:
+    """No lens does that: the best quarter of all pixels is the measure."""
+    rng = np.random.default_rng(2)
+    frequency = rng.uniform(0.05, 0.2, (120, 160)).astype(np.float32)
+    visibility = np.exp(-1.0 + 2.0 * frequency)
+    below = _below_best(visibility, frequency, np.ones(frequency.shape, bool))
+    expected = 1.0 - visibility / np.quantile(visibility, 0.75)
+    # A quantile of 16000 pixels thinned out or not: as in the test above.
+    np.testing.assert_allclose(below, expected, atol=0.01)
+
+
 def test_one_period_is_judged_by_its_own_visibility() -> None:
     shown = PhaseShift(periods_px=(400.0,))
     dn = np.full(SIZE[::-1], 80.0)

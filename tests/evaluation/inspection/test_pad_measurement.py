@@ -335,9 +335,7 @@ def test_errors_of_pads_are_those_made_on_purpose(
     percent = (1.0, -4.0, 2.0, 0.0, -1.0, 2.0)
     measured = [
         replace(pad, volume_mm3=(1.0 + error / 100.0) * true.volume_mm3)
-        for pad, true, error in zip(
-            measured_pads(heights, board), board.pads, percent, strict=True
-        )
+        for pad, true, error in zip(measured_pads(heights, board), board.pads, percent, strict=True)
     ]
     found = pad_errors(measured, board)
     # Their mean is 0, and their mean square (1 + 16 + 4 + 0 + 1 + 4) / 6.

@@ -51,6 +51,20 @@ def test_noisy_sphere_has_the_expected_form_error_and_size() -> None:
     assert abs(found.radius_mm - radius) < 30.0 * sigma / np.sqrt(count)
 
 
+@pytest.mark.parametrize("mirrored", list(np.ndindex(2, 2, 2)))
+def test_fitted_sphere_has_the_least_squares(mirrored: tuple[int, int, int]) -> None:
+    """There the deviations and their components sum to zero, whichever way the algebraic sphere was off."""
+    points = dome(200, 3, 180.0) * np.random.default_rng(3).normal(10.0, 0.5, (200, 1))
+    points *= 1 - 2 * np.array(mirrored)
+    found = fit_sphere(points)
+    away = points - found.centre_mm
+    distance = np.linalg.norm(away, axis=1)
+    off = distance - found.radius_mm
+    # Float64 of 10 mm; the algebraic sphere misses by the noise squared over the radius, 0.02 mm.
+    assert abs(off.mean()) < 1e-8
+    assert np.abs((off[:, None] * away / distance[:, None]).mean(axis=0)).max() < 1e-8
+
+
 def test_three_in_a_thousand_outliers_are_left_out_and_more_are_not() -> None:
     points = 10.0 * dome(2000, 4)
     points[:6] *= 1.1
