@@ -29,6 +29,8 @@ FEWEST_BLOCKS, FEWEST_ELSEWHERE = 4, 2
 PATHS_OF_PLACE = 4
 # A block of the pilot.
 PILOT_PLACES, PILOT_PATHS = 4, 2
+# Behind a lens a few places cannot tell the modulation of a fringe out of focus.
+PILOT_LENS_PLACES = 16
 # The pilot has this many paths in each label at least, so that the label's scatter is known; and in a pixel at most.
 PILOT_LABEL_PATHS, PILOT_MOST_BLOCKS = 1 << 16, 32
 # Windows, in pixels, over which indirect light is averaged within its label.
@@ -39,13 +41,13 @@ FLOOR = 0.12
 CEILING = 30.0
 # Share of the noise's variance that direct light may have. A place costs a third of a path.
 DIRECT = 0.15
-MOST_PLACES = 64
+MOST_PLACES, LENS_PLACES = 64, 256
 # Of the noise allowed, what is aimed at: two seeds show no more than was asked for.
 AIMED = 0.95
 # Of the paths that the pilot asks for, those traced before the halves ask for the rest: it often asks for too many.
 FIRST = 0.35
-# Variance of direct light falls with the places of a block to this power; of a lens, whose points are not paired, by 1.
-PLACES_POWER, LENS_POWER = 1.25, 1.0
+# Variance of direct light falls with the places of a block to this power; behind a lens, of a fringe by 2.3, of steps by 1 to 1.6.
+PLACES_POWER, LENS_POWER = 1.25, 2.0
 # A half's scatter is itself an estimate, of a law with long tails: a label's sum counts as larger by so many of its own
 # standard errors, which matters in small labels.
 STANDARD_ERRORS = 1.0
@@ -79,10 +81,10 @@ class Pilot:
     path_variance: Floats
     """Of one path's light across and along each phasor, same unit squared, (2, projector, row, col)."""
     place_variance: Floats
-    """Of the direct light of a block of `PILOT_PLACES` places, likewise."""
+    """Of the direct light of one of the pilot's blocks, with all of its places, likewise."""
 
 
-def pilot_blocks(label: NDArray[np.uint16]) -> Blocks:
+def pilot_blocks(label: NDArray[np.uint16], lens: bool) -> Blocks:
     """The pilot's own paths: more of them in small labels."""
     pixels = np.bincount(label.ravel())
     wanted = PILOT_LABEL_PATHS / (PILOT_PATHS * np.maximum(pixels, 1))
@@ -92,7 +94,7 @@ def pilot_blocks(label: NDArray[np.uint16]) -> Blocks:
     return Blocks(
         np.arange(blocks.size, dtype=np.uint32),
         blocks,
-        np.full_like(blocks, PILOT_PLACES),
+        np.full_like(blocks, PILOT_LENS_PLACES if lens else PILOT_PLACES),
         np.full_like(blocks, PILOT_PATHS),
         np.zeros_like(blocks),
     )
@@ -114,16 +116,22 @@ def blocks_needed(
         share, have = DIRECT, np.where(pilot.lit, 1.0, 2.0) * fewest
         paths = _paths(pilot, budgets, (1.0 - share) / FIRST, have, most_paths, 0.0)
     blocks = 2.0 * np.ceil(np.maximum(paths / BLOCK_PATHS, fewest) / 2.0)
-    power = LENS_POWER if lens else PLACES_POWER
+    had, power, most_places = PILOT_PLACES, PLACES_POWER, MOST_PLACES
+    if lens:
+        had, power, most_places = PILOT_LENS_PLACES, LENS_POWER, LENS_PLACES
     # The contrast of fringes, which neighbours see behind a lens, needs two pairs.
     step = 2 if pilot.kernel is None else 4
     each = np.ceil(paths / blocks)
     # Paths from one place share what it sees.
     places = 2.0 * np.ceil(each / (2.0 * PATHS_OF_PLACE))
     for allowed, adds in budgets.values():
-        variance = (adds * np.nan_to_num(pilot.place_variance)).sum(axis=(0, 1))
-        wanted = _places(variance, blocks, share / FIRST * allowed, power, step)
+        variance = had**power * (adds * np.nan_to_num(pilot.place_variance)).sum(axis=(0, 1))
+        wanted = _places(variance, blocks, share / FIRST * allowed, power, step, most_places)
         places = np.maximum(places, wanted)
+    if lens:
+        # Fewer than the pilot had may have more noise than the fringe has contrast, which no power foresees. And Sobol's
+        # sequence fills space evenly after powers of two.
+        places = np.exp2(np.ceil(np.log2(np.maximum(places, PILOT_LENS_PLACES))))
     return Blocks(
         np.arange(blocks.size, dtype=np.uint32),
         blocks.ravel().astype(np.uint32),
@@ -246,14 +254,16 @@ def _shares(
     return shares, without
 
 
-def _places(variance: Floats, blocks: Floats, allowed: float, power: float, step: int) -> Floats:
-    """(row, col) places in each block: ``L P`` of them cost ``v / (L P^power)`` of variance, L the blocks.
+def _places(
+    variance: Floats, blocks: Floats, allowed: float, power: float, step: int, most: int
+) -> Floats:
+    """(row, col) places in each block, at most `most`: ``L P`` of them cost ``v / (L P^power)`` of variance, L the blocks.
 
-    `variance` is what a pilot's block adds to the label's sum. Places come in groups of `step`.
+    `variance` is what a block of one place would add to the label's sum. Places come in groups of `step`.
     """
     # Edges run on from pixel to pixel; two blocks alone may both have missed one.
     variance = np.where(variance > 0.0, ndimage.uniform_filter(variance, 3), 0.0)
-    variance *= PILOT_PLACES**power / blocks
+    variance /= blocks
     weight = variance / blocks
     # Edges that matter a million times less than the worst take no part.
     weight = np.where(weight > 1e-6 * weight.max(), weight, 0.0)
@@ -265,14 +275,14 @@ def _places(variance: Floats, blocks: Floats, allowed: float, power: float, step
     allowed -= float(variance[~some].sum()) / 2.0**power
     variance, root = variance[some], weight[some] ** (1.0 / (power + 1.0)) / step
     # What a block's variance is divided by, of each number of steps.
-    divisor = (step * np.arange(1.0, MOST_PLACES // step + 1.0)) ** power
+    divisor = (step * np.arange(1.0, most // step + 1.0)) ** power
 
     def steps(scale: float) -> NDArray[np.intp]:
         found = np.ceil(scale ** (1.0 / (power + 1.0)) * root)
         return np.asarray(np.clip(found, 1.0, divisor.size), np.intp)
 
     # At most so many that even the smallest edge has the most.
-    low, high = 0.0, (MOST_PLACES / step / float(root.min())) ** (power + 1.0)
+    low, high = 0.0, (most / step / float(root.min())) ** (power + 1.0)
     for _ in range(60):
         middle = np.sqrt(low * high) if low else high * 1e-9
         if float((variance / divisor[steps(middle) - 1]).sum()) > allowed:

@@ -180,11 +180,15 @@ class Pass:
         share = dr.gather(mi.Float, self.guide.share, tile)
         return places, dr.maximum(1, mi.UInt32(share * mi.Float(most) + 0.5))
 
+    def _pupils(self) -> list[int]:
+        """Pairs of dimensions that are places in the pupil of a lens, at the first vertex."""
+        devices = [self.camera, *(light.optics for light in self.lights)]
+        return [1 + i for i, device in enumerate(devices) if device.lens is not None]
+
     @property
     def lens(self) -> bool:
         """Whether a device has a lens, so that direct light is noisy all over."""
-        optics = (self.camera, *(light.optics for light in self.lights))
-        return any(device.lens is not None for device in optics)
+        return bool(self._pupils())
 
     def _plan(
         self, row: Any, column: Any, key: Any, tile: Any, counts: tuple[Any, Any]
@@ -201,10 +205,13 @@ class Pass:
     def _look(self, corner: Any, key: Any, n: Any) -> tuple[Any, list[Any]]:
         """First vertex through place number `n` of a pixel, and what every channel adds there."""
 
-        def draw(dimension: Any) -> Any:
+        def draw(dimension: int) -> Any:
+            if dimension in pupils:
+                return sampling.joint_point(key, 1 + pupils.index(dimension), n)
             return sampling.point(key, mi.UInt32(dimension), n)
 
-        within = sampling.pixel_point(key, n)
+        pupils = self._pupils()
+        within = sampling.joint_point(key, 0, n) if pupils else sampling.pixel_point(key, n)
         if self.footprint is not None:
             within = (within - 0.5) * self.footprint + 0.5
         pupil = None if self.camera.lens is None else draw(1)

@@ -6,9 +6,17 @@ own scrambling and its own order of points, so pairs are independent of each oth
 pixel's samples.
 """
 
+from functools import cache
 from typing import Any
 
+from scipy.stats import qmc
+
 from render.plugins.variant import dr, mi
+
+# A lane has fewer places than two to this power.
+INDEX_BITS = 24
+# Apart from the pairs of `point`.
+JOINT = 0x2545F491
 
 
 def stream(seed: int, pixel: Any) -> Any:
@@ -41,9 +49,56 @@ def pixel_point(key: Any, index: Any) -> Any:
     """
     place = point(key, mi.UInt32(0), index >> 2) + 0.5 * mi.Float((index >> 1) & 1)
     place = dr.select(place < 1.0, place, place - 1.0)
-    mirrored = (index & 1) == 1
+    return _mirrored(place, index)
+
+
+def joint_point(key: Any, pair: int, index: Any) -> Any:
+    """Sample `index` of one pair of dimensions of a single sequence, a Point2f in [0, 1): all of its pairs are stratified together.
+
+    Behind a lens out of focus, a fringe's phase varies with the place in the pixel and in the pupil alike. If each were stratified
+    alone, their combinations would be random. Samples come in pairs opposite about the centre in all dimensions at once: what is
+    linear in them, as a phase nearly is, cancels.
+    """
+    number = index >> 1
+    found = [
+        _unit(
+            dr.brev(
+                _laine_karras(
+                    _generated(d, number), _hash(key + mi.UInt32(JOINT * (d + 1) % 2**32))
+                )
+            )
+        )
+        for d in (2 * pair, 2 * pair + 1)
+    ]
+    return _mirrored(mi.Point2f(*found), index)
+
+
+def _mirrored(place: Any, index: Any) -> Any:
+    """Every other place through the centre of the square."""
     # 1 - x, kept below 1.
-    return dr.select(mirrored, dr.minimum(1 - place, ONE_BELOW), place)
+    return dr.select((index & 1) == 1, dr.minimum(1 - place, ONE_BELOW), place)
+
+
+def _generated(dimension: int, index: Any) -> Any:
+    """A Sobol dimension's number `index`, bit-reversed."""
+    found = mi.UInt32(0)
+    for bit, number in enumerate(_direction_numbers(dimension)):
+        found ^= dr.select((index >> bit) & 1 == 1, mi.UInt32(number), 0)
+    return found
+
+
+@cache
+def _direction_numbers(dimension: int) -> tuple[int, ...]:
+    """What each bit of an index adds to a dimension of Sobol's sequence (Joe and Kuo 2008), bit-reversed."""
+    numbers = []
+    for bit in range(INDEX_BITS):
+        sequence = qmc.Sobol(dimension + 1, scramble=False, bits=32)
+        # In the order of Gray's code, points number 2^bit - 1 and 2^bit differ by that of the bit.
+        if bit:
+            sequence.fast_forward(2**bit - 1)
+        pair = [int(sequence.random()[0, dimension] * 2.0**32) for _ in range(2)]
+        numbers.append(int(f"{pair[0] ^ pair[1]:032b}"[::-1], 2))
+    return tuple(numbers)
 
 
 ONE_BELOW = 1 - 2.0**-24

@@ -133,7 +133,7 @@ def _traced(
 
     indirect = pass_.depth > 1 or pass_.ambient is not None
     most = scene.sampling.most_samples
-    first = pilot_blocks(label)
+    first = pilot_blocks(label, pass_.lens)
     quick = light(first, seed ^ PILOT_STREAM, done(0.0, PILOT_SHARE), direct=True)
     rough = transport(quick, first.total_paths)
     pilot, sensor = first_pilot(quick, first, rough, lit_px)

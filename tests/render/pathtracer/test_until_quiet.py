@@ -21,6 +21,7 @@ from render.pathtracer.path_budget import (
     DIRECT,
     FIRST,
     PATHS_OF_PLACE,
+    PILOT_LENS_PLACES,
     PILOT_PLACES,
     Pilot,
     blocks_needed,
@@ -300,7 +301,7 @@ def test_paths_meet_the_target_with_minimum_work_when_variances_are_known(
     # The places' own light has no noise here: pairs of them only so that no more paths begin at one than may.
     assert (blocks.paths <= PATHS_OF_PLACE * blocks.places).all()
     assert (blocks.paths > PATHS_OF_PLACE * (blocks.places.astype(int) - 2)).all()
-    assert PILOT_PLACES % 2 == 0
+    assert PILOT_PLACES % 2 == 0 == PILOT_LENS_PLACES % 2
 
 
 def test_places_go_to_edges_whose_direct_light_matters() -> None:
