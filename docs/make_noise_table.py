@@ -4,7 +4,8 @@
 
 Two seeds of light are exposed without the sensor's noise; what their heights differ by, over the root of two, is the noise of
 light. Two seeds of the sensor's noise on the first of them give that of the sensor. Both are root mean squares over the lit
-pixels of a label that all four reconstructions call valid; with screens of slopes. Pixels that another fringe order moves are counted apart.
+pixels of a label that all four reconstructions call valid; with screens of slopes. Pixels that another fringe order or match moves
+are counted apart.
 """
 
 import sys
@@ -46,9 +47,9 @@ def _rows(name: str, scene: scenes.Scene) -> None:
     found = found.astype(np.float64)
     usable = truth.lit & np.all([result.valid for result in results], axis=0)
     jump = np.zeros_like(usable)
-    if lights[0].render_noise is not None and not scene.screens:
-        # A fringe more or less is a jump of height, far beyond noise.
-        jump = (np.ptp(found, axis=0) > _half_fringe_mm(scene))[0]
+    if not scene.screens:
+        # Another fringe or match is a jump of height, far beyond noise.
+        jump = (np.ptp(found, axis=0) > _jump_mm(scene))[0]
     stated = {} if lights[0].render_noise is None else lights[0].render_noise.reached
     for label in truth.labels:
         at = usable & truth.region(label)
@@ -66,16 +67,20 @@ def _rows(name: str, scene: scenes.Scene) -> None:
         )
 
 
-def _half_fringe_mm(scene: scenes.Scene) -> float:
-    """Height of half a finest fringe in the middle of the image."""
-    calibration = scene.calibration()
-    camera, light = calibration.camera.projection(), calibration.projectors[0].projection()
-    frame = min((f for f in scene.frames if f.kind == "fringe"), key=lambda f: f.period_px)
-    axis = 0 if frame.axis == "column" else 1
+def _jump_mm(scene: scenes.Scene) -> float:
+    """Height of half a finest fringe in the middle of the image; of a pair of cameras, of half a pixel."""
+    camera = scene.camera.projection()
+    axis, width = 0, 1.0
+    if scene.second_camera is not None:
+        other = scene.second_view().camera.projection()
+    else:
+        other = scene.projectors[0].projection()
+        frame = min((f for f in scene.frames if f.kind == "fringe"), key=lambda f: f.period_px)
+        axis, width = ("column", "row").index(frame.axis), frame.period_px
     low, high = (
-        light.project(camera.points_at(height))[0][..., axis] for height in (-0.005, 0.005)
+        other.project(camera.points_at(height))[0][..., axis] for height in (-0.005, 0.005)
     )
-    return float(0.01 / np.nanmedian(np.abs(high - low)) * frame.period_px / 2.0)
+    return float(0.01 / np.nanmedian(np.abs(high - low)) * width / 2.0)
 
 
 if __name__ == "__main__":
