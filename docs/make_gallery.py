@@ -89,8 +89,8 @@ LESSONS = {
     "stereo": "Two cameras find heights without any calibrated projector, and within one picture. Dots give the gray half a texture; "
     "with even light 99 to 100 % of it is missing or wrong ([stereo](stereo.md)). No deviation is predicted.",
     "measured-rig": "A real scanner's optics ([measured](measured-rig.md)): its projector is in focus within a few centimetres only. "
-    "Elsewhere fringes lose contrast and orders contradict each other: with a projector lens of 1 mm all of the step would be "
-    "measured, with errors some fifteen times smaller.",
+    "Elsewhere fringes lose contrast and orders contradict each other. Its pixels are so quiet that most of the error is the "
+    "renderer's own noise, up to 8 times the sensor's ([render noise](light.md)).",
     "chapter": "34 µm of noise, as the chapter's formula predicts.",
     "chapter-dim": "Modulation 15 instead of 80 DN: 5.4 times the noise. The default threshold, eight standard deviations of "
     "phase, accepts a sixth of the pixels; `fringebench chapter` scores all of them.",
