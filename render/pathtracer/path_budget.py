@@ -30,7 +30,7 @@ PATHS_OF_PLACE = 4
 # A block of the pilot.
 PILOT_PLACES, PILOT_PATHS = 4, 2
 # Behind a lens a few places cannot tell the modulation of a fringe out of focus.
-PILOT_LENS_PLACES = 16
+PILOT_LENS_PLACES = 32
 # The pilot has this many paths in each label at least, so that the label's scatter is known; and in a pixel at most.
 PILOT_LABEL_PATHS, PILOT_MOST_BLOCKS = 1 << 16, 32
 # Windows, in pixels, over which indirect light is averaged within its label.
