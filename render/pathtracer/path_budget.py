@@ -29,7 +29,7 @@ FEWEST_BLOCKS, FEWEST_ELSEWHERE = 4, 2
 PATHS_OF_PLACE = 4
 # A block of the pilot.
 PILOT_PLACES, PILOT_PATHS = 4, 2
-# Behind a lens a few places cannot tell the modulation of a fringe out of focus.
+# Behind a lens a few places cannot tell the modulation of a fringe out of focus: 16 are noisier than if they were independent.
 PILOT_LENS_PLACES = 32
 # The pilot has this many paths in each label at least, so that the label's scatter is known; and in a pixel at most.
 PILOT_LABEL_PATHS, PILOT_MOST_BLOCKS = 1 << 16, 32
@@ -116,16 +116,17 @@ def blocks_needed(
         share, have = DIRECT, np.where(pilot.lit, 1.0, 2.0) * fewest
         paths = _paths(pilot, budgets, (1.0 - share) / FIRST, have, most_paths, 0.0)
     blocks = 2.0 * np.ceil(np.maximum(paths / BLOCK_PATHS, fewest) / 2.0)
-    had, power, most_places = PILOT_PLACES, PLACES_POWER, MOST_PLACES
+    piloted, power, most_places = PILOT_PLACES, PLACES_POWER, MOST_PLACES
     if lens:
-        had, power, most_places = PILOT_LENS_PLACES, LENS_POWER, LENS_PLACES
+        piloted, power, most_places = PILOT_LENS_PLACES, LENS_POWER, LENS_PLACES
     # The contrast of fringes, which neighbours see behind a lens, needs two pairs.
     step = 2 if pilot.kernel is None else 4
     each = np.ceil(paths / blocks)
     # Paths from one place share what it sees.
     places = 2.0 * np.ceil(each / (2.0 * PATHS_OF_PLACE))
     for allowed, adds in budgets.values():
-        variance = had**power * (adds * np.nan_to_num(pilot.place_variance)).sum(axis=(0, 1))
+        of_one_place = piloted**power * np.nan_to_num(pilot.place_variance)
+        variance = (adds * of_one_place).sum(axis=(0, 1))
         wanted = _places(variance, blocks, share / FIRST * allowed, power, step, most_places)
         places = np.maximum(places, wanted)
     if lens:

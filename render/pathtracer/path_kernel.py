@@ -181,7 +181,7 @@ class Pass:
         return places, dr.maximum(1, mi.UInt32(share * mi.Float(most) + 0.5))
 
     def _pupils(self) -> list[int]:
-        """Pairs of dimensions that are places in the pupil of a lens, at the first vertex."""
+        """Of the first vertex's pairs of dimensions, those that are a place in the pupil of a lens."""
         devices = [self.camera, *(light.optics for light in self.lights)]
         return [1 + i for i, device in enumerate(devices) if device.lens is not None]
 

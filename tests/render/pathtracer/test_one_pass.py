@@ -8,6 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 import render
+import scenes
+from render.fringe_phasor import finest_fringes
 from render.pathtracer import one_pass
 from scenes import Scene
 from scenes.support.errors import FileError, RenderError
@@ -152,3 +154,26 @@ def test_transport_file_comes_back_whole(tmp_path: Path) -> None:
     )
     with pytest.raises(FileError, match="does not exist"):
         render.Transport.read(tmp_path / "nothing.exr")
+
+
+def test_direct_light_out_of_focus_has_a_tenth_of_the_noise_of_independent_samples() -> None:
+    """64 of the shipped scene's pixels in the middle; in focus the fringe has the modulation of a pinhole."""
+    crop = {"resolution": (8, 8), "calibrated_at": (8, 8), "cx_px": 4.0, "cy_px": 4.0}
+    settings = {f"camera.{key}": value for key, value in crop.items()}
+    samples = 64
+
+    def fringe(lens: Any, seed: int) -> NDArray[np.complex128]:
+        scene = scenes.load("defocus", settings | {"projectors.0.lens": lens})
+        light = render.trace(scene, samples=samples, depth=1, seed=seed)
+        finest = finest_fringes(scene.patterns, light.bases)[0]
+        cosine, sine = finest.phasor(light.direct[0], 0)
+        return cosine + 1j * sine
+
+    wide = {"aperture_mm": 24.0, "focus_mm": 280.0}
+    one, two = (fringe(wide, seed) for seed in (1, 2))
+    sharp = np.abs(fringe(None, 1)).mean()
+    noise = np.sqrt(np.mean(np.angle(one * two.conj()) ** 2) / 2.0)
+    # A sample's phasor is as long as in focus and turned at random: half of its square lies across the mean.
+    independent = sharp / np.sqrt(2.0 * samples) / np.abs(one).mean()
+    assert np.abs(one).mean() < 0.7 * sharp
+    assert noise < 0.1 * independent

@@ -85,7 +85,7 @@ def test_single_joint_sample_is_uniform_and_dimensions_are_independent() -> None
         assert np.abs(off).max() < 4.5 / np.sqrt(len(drawn))
 
 
-def test_joint_samples_stratify_each_dimension_and_pairs_of_pairs() -> None:
+def test_joint_samples_are_even_in_each_dimension_and_in_the_sum_of_two() -> None:
     drawn = joint(200, 128)[:, 0::2]
     # Of 64 distinct points, any dimension has one in each of 64 strata.
     cells = np.sort(np.floor(drawn * 64).astype(int), axis=1)
