@@ -167,7 +167,7 @@ def test_direct_light_out_of_focus_has_a_tenth_of_the_noise_of_independent_sampl
         light = render.trace(scene, samples=samples, depth=1, seed=seed)
         finest = finest_fringes(scene.patterns, light.bases)[0]
         cosine, sine = finest.phasor(light.direct[0], 0)
-        return cosine + 1j * sine
+        return np.asarray(cosine + 1j * sine, np.complex128)
 
     wide = {"aperture_mm": 24.0, "focus_mm": 280.0}
     one, two = (fringe(wide, seed) for seed in (1, 2))
